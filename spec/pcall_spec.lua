@@ -27,6 +27,7 @@ local REASONS = {
   ["rfsm/fleet.lua"] = { 14, "host user" },
   ["rfsm/merge.lua"] = { 2, "user interrupt after" },
   ["rfsm/observe/breakpoints.lua"] = { 1, "input" },
+  ["rfsm/observe/watch_properties.lua"] = { 2, "after user" },
   ["rfsm/pictures/diagram.lua"] = { 1, "input" },
   ["rfsm/postgres.lua"] = { 2, "host after" },
   ["rfsm/postgres/script.lua"] = { 1, "user" },

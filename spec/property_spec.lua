@@ -273,6 +273,10 @@ describe("a machine that is watched", function()
     assert.is_nil(share.problem(watching, 30, true))
   end)
 
+  it("misses no step that an interrupt cuts short in its own hook", function()
+    assert.is_nil(share.problem(require "spec.support.claims.watched_cuts", 30, true))
+  end)
+
   it("owes nothing any more when what was waited for has come", function()
     local function wait() while true do rfsm.yield(true) end end
     start({ a = state { doo = wait }, c = state {}, [3] = go("b", "c", "e_x") },

@@ -20,6 +20,9 @@
 --    reset(at)                            the machine was reset
 --    merged(at, element)                  `fsm_merge` has added an element
 --
+-- With the field `is_repeatable`, functions that an interrupt has cut short are called
+-- again, as the hooks of `rfsm.repeatable` are.
+--
 -- Regions of the machine and elements that are merged later are followed, too.
 --
 -- @module rfsm.observe.stream
@@ -45,17 +48,17 @@ local stream = {}
 
 -- Returns a hook that calls f(at, ...) for the machine `at`. A program's copy of this
 -- machine has the hook, too.
-local function hook_for(at, f)
-  return function(fsm, ...)
+local function hook_for(own, at, f)
+  local function hook(fsm, ...)
     if rawequal(fsm, at.machine) then f(at, ...) end
   end
+  return own.listener.is_repeatable and rfsm.repeatable(hook) or hook
 end
 
 local function attach_state(own, at, state, kind, f)
   if not f then return end
-  instrument.hook_of(own.changes, at.machine, kind, state, function(fsm, element)
-    if rawequal(fsm, at.machine) then f(at, element) end
-  end)
+  instrument.hook_of(own.changes, at.machine, kind, state,
+    hook_for(own, at, function(_, element) f(at, element) end))
 end
 
 local function attach_transition(own, at, tr)
@@ -106,22 +109,23 @@ local function attach(own, at)
   local listener, fsm, changes = own.listener, at.machine, own.changes
   for _, what in ipairs(WATCHED) do
     local f = listener[what]
-    if f then instrument.hook_of(changes, fsm, "watch", what, hook_for(at, f)) end
+    if f then instrument.hook_of(changes, fsm, "watch", what, hook_for(own, at, f)) end
   end
-  instrument.hook_of(changes, fsm, "watch", "merged", hook_for(at, function(_, element)
+  local function merge(_, element)
     join(own)
     attach_elements(own, at, element)
     if listener.merged then listener.merged(at, element) end
-  end))
+  end
+  instrument.hook_of(changes, fsm, "watch", "merged", hook_for(own, at, merge))
   attach_elements(own, at, fsm)
   if listener.taken then
-    instrument.hook(changes, fsm, "path", hook_for(at, function(_, path)
+    instrument.hook(changes, fsm, "path", hook_for(own, at, function(_, path)
       if path[1] then listener.taken(at, path, fsm._curq) end
     end))
   end
   for name, hook in order.each(HOOKS) do -- any order: each has its place
     local f = listener[name]
-    if f then instrument.hook(changes, fsm, hook[1], hook_for(at, f), hook[2]) end
+    if f then instrument.hook(changes, fsm, hook[1], hook_for(own, at, f), hook[2]) end
   end
 end
 

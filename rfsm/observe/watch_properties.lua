@@ -4,6 +4,9 @@
 -- leaves again. Their clocks use the time of the machine: a clock is started when an
 -- iteration is over, and is read when one begins, before the timers of the machine.
 --
+-- An interrupt may cut each hook short. So a hook is called again, and what it notes
+-- counts by one assignment: a note in the log, or the next step.
+--
 -- @module rfsm.observe.watch_properties
 -- @license BSD-3-Clause
 
@@ -18,7 +21,7 @@ local properties = require "rfsm.explore.properties"
 local order = require "rfsm.shared.order"
 local stream = require "rfsm.observe.stream"
 
-local error, ipairs, type = error, ipairs, type
+local error, ipairs, pcall, type = error, ipairs, pcall, type
 local concat, remove = table.concat, table.remove
 local kinds = monitors.kinds
 
@@ -37,24 +40,37 @@ local watch_properties = {}
 --- A machine that is watched, and the state of the watch.
 ---@class rfsm_checks.Watched
 ---@field fsm rfsm.Machine
----@field monitors rfsm_checks.Monitor[]
 ---@field active fun(name: string): boolean is the state with this path active?
 ---@field is_timed boolean does a property have a time limit?
 ---@field now number the time at which the iteration began, in seconds
 ---@field leaf rfsm.State|false the active leaf when the iteration began
----@field has_begun boolean an iteration is under way
 ---@field meant table<any, any> event of a property -> the event that it means
----@field forwarded any[] events of earlier iterations that belong to this step
 ---@field snapshot fun(): fun(name: string): boolean `active`, whose answers stay
 ---@field hears table<any, true> the words that observers hear
----@field heard rfsm_checks.Heard[] the words of this step
----@field is_heard boolean the events of this iteration were heard
+---@field hears_more boolean is there such a word?
 ---@field done table<string, true> the events e_done@F that the machine can make
 ---@field path_of table<table, string> transition -> its path
----@field moments { state: rfsm.State, active: fun(name: string): boolean }[] entries of
--- states that this step may leave again, and what was active at each entry
 ---@field stream rfsm.observe.Stream
+---@field step rfsm_checks.WatchedStep
+
+--- What is known when an iteration ends, and is noted until the next one ends.
+---@class rfsm_checks.WatchedStep
+---@field monitors rfsm_checks.Monitor[]
+---@field phase "new"|"begun"|"over" of the iteration
+---@field forwarded any[] events of earlier iterations that belong to this step
+---@field log rfsm_checks.WatchedNote[] what the step has done
 ---@field trace { text: string, at: number|false }[] the latest steps
+---@field reports string[] what is to be reported
+
+--- A note of a hook. The same note twice is that of a hook that was called again.
+---@class rfsm_checks.WatchedNote
+---@field at table the entry of `rfsm.machines`
+---@field kind "began"|"taken"|"entered"|"left"|"passed"
+---@field subject any state, or first transition of the path
+---@field words rfsm_checks.Heard[] the field `passed` is the state of a word "pass"
+---@field has_events? boolean the events of the iteration are in the words
+---@field moment? function what was active when a state was entered that this step may
+-- leave again
 local Watched = {}
 Watched.__index = Watched
 
@@ -106,22 +122,24 @@ local function are_internal(events)
   return true
 end
 
--- Notes a step for reports, if an event came from outside or the leaf has changed.
-local function note_step(own, events)
-  local texts, leaf = {}, own.fsm._act_leaf
-  if leaf == own.leaf and are_internal(events) then return end
+-- Returns the latest steps with this one, if an event came from outside or the leaf has
+-- changed.
+local function trace_with(own, old, events)
+  local texts, leaf, trace = {}, own.fsm._act_leaf, {}
+  if leaf == own.leaf and are_internal(events) then return old end
   for i = 1, #events do texts[i] = rfsm.event_text(events[i], true) end
   local text = (texts[1] and concat(texts, ", ") or "no event") .. ": "
     .. (own.leaf and own.leaf._fqn .. " -> " or "") .. leaf._fqn
-  own.trace[#own.trace + 1] = { text = text, at = own.is_timed and own.now }
-  if #own.trace > LONG then remove(own.trace, 1) end
+  for i = #old < LONG and 1 or 2, #old do trace[#trace + 1] = old[i] end
+  trace[#trace + 1] = { text = text, at = own.is_timed and own.now }
+  return trace
 end
 
 local function seconds(wait) return rfsm.number_text(wait, "%.3g") .. " s" end
 
-local function report(own, monitor)
-  local lines, before = {}, own.trace[1] and own.trace[1].at
-  for i, step in ipairs(own.trace) do
+local function report_of(own, monitor, trace)
+  local lines, before = {}, trace[1] and trace[1].at
+  for i, step in ipairs(trace) do
     local wait = step.at and step.at - before or 0
     lines[i] = ("  %d. %s%s"):format(i, wait > 0 and "+" .. seconds(wait) .. " " or "",
       step.text)
@@ -129,8 +147,7 @@ local function report(own, monitor)
   end
   local wait = own.is_timed and before and own.now - before or 0
   if wait > 0 then lines[#lines + 1] = "  and then " .. seconds(wait) end
-  rfsm.report(own.fsm, "err", ("property '%s' does not hold\n%s"):format(monitor.name,
-    concat(lines, "\n")))
+  return ("property '%s' does not hold\n%s"):format(monitor.name, concat(lines, "\n"))
 end
 
 -- Returns how many clocks of a monitor have expired.
@@ -173,56 +190,81 @@ local function has_come(own, event, events)
 end
 
 -- Makes a monitor look at the end of a step, or at a state that the step only passes.
-local function look_at(own, monitor, look, events)
+local function look_at(own, step, monitor, look, events)
   local property = monitor.property
   look.came = property.event ~= nil and own.leaf
     and has_come(own, property.event, events) or false
   look.came = look.came and monitor.is_in_scope
   look.expired, look.count = count_expired(own, monitor), #monitor.clocks
-  look.observer, look.heard = monitor.observer, own.heard
+  look.observer, look.heard = monitor.observer, step.heard
   local state, clocks = monitors.look(property, monitor.state, look)
   if clocks then set_clocks(monitor, clocks, look.now) end
   local is_violated = state == "violated"
   monitor.state = is_violated and (kinds[property.kind].next or "first") or state
-  if is_violated and not monitor.is_told then report(own, monitor) end
+  if is_violated and not monitor.is_told then
+    step.reports[#step.reports + 1] = report_of(own, monitor, step.trace)
+  end
   monitor.is_told = is_violated
 end
 
+-- Appends a note to the log, unless it is the last one already.
+local function note(own, at, kind, subject, fields)
+  local log = own.step.log
+  local last = log[#log]
+  if last and last.at == at and last.kind == kind and last.subject == subject then
+    return
+  end
+  fields.at, fields.kind, fields.subject = at, kind, subject
+  fields.words = fields.words or NOTHING
+  log[#log + 1] = fields
+end
+
 local function begin_iteration(own, at)
-  own.is_heard = false
+  if own.hears_more then note(own, at, "began", nil, {}) end
   if at.machine ~= own.fsm then return end
-  own.has_begun, own.now, own.leaf = true, read_clock(own), own.fsm._act_leaf or false
-  for _, monitor in ipairs(own.forwarded[1] == nil and own.monitors or NOTHING) do
+  local step = own.step
+  own.now, own.leaf = read_clock(own), own.fsm._act_leaf or false
+  for _, monitor in ipairs(step.forwarded[1] == nil and step.monitors or NOTHING) do
     local scope = monitor.property.scope
     monitor.is_in_scope = scope == nil or monitors.holds(scope, own.active)
   end
+  step.phase = "begun"
 end
 
--- Notes a word if an observer hears it; `passed` is the state of a word "pass".
-local function note_word(own, word, passed)
+-- Appends a word if an observer hears it; `passed` is the state of a word "pass".
+local function add_word(own, words, word, passed)
   if not own.hears[word] then return end
-  own.heard[#own.heard + 1] = { word = word, active = own.snapshot(), passed = passed }
+  words[#words + 1] = { word = word, active = own.snapshot(), passed = passed }
 end
 
--- Notes the events of an iteration once: before a path is taken, or at its end. Of a
+-- Are the events of this iteration in the log?
+local function has_events(log)
+  for i = #log, 1, -1 do
+    if log[i].kind == "began" or log[i].has_events then return log[i].has_events end
+  end
+end
+
+-- Appends the events of an iteration once: before a path is taken, or at its end. Of a
 -- region, these are the events that it makes and that it alone knows.
-local function note_events(own, at, events)
-  if own.is_heard or not own.leaf or order.is_empty(own.hears) then return end
-  own.is_heard = true
+local function add_heard(own, at, words, events)
+  if has_events(own.step.log) or not own.leaf then return nil end
   local is_region = at.machine ~= own.fsm
   for i = 1, #events do
     local event = events[i]
     local is_own = is_region and match.maker_among(event, own.done)
       and not alphabet.of(own.fsm).set[event]
     if is_own or not is_region then
-      note_word(own, rfsm.name_with_data(event) or event)
+      add_word(own, words, rfsm.name_with_data(event) or event)
     end
   end
+  return true
 end
 
 local function note_path(own, at, path, events)
-  note_events(own, at, events)
-  for _, tr in ipairs(path) do note_word(own, "taken " .. own.path_of[tr]) end
+  local words = {}
+  local is_heard = add_heard(own, at, words, events)
+  for _, tr in ipairs(path) do add_word(own, words, "taken " .. own.path_of[tr]) end
+  note(own, at, "taken", path[1], { words = words, has_events = is_heard })
 end
 
 -- Does the next iteration have the events of this one again, so that both count as one
@@ -232,44 +274,70 @@ local function are_forwarded(fsm)
   return rfsm.is_free(fsm) and (rfsm.regions(fsm._act_leaf)[1] or fsm._intq[1] ~= nil)
 end
 
--- Drops the entries of states that the step has not left again, and adds `step`.
--- Returns the events with the words of the step.
-local function keep_words(own, events)
+-- Returns the words of a step, without entries of states that it has not left again,
+-- and the events with these words.
+local function words_of(own, log, events)
   local heard = {}
-  for _, each in ipairs(own.heard) do
-    if not each.passed or each.passed._mode == "inactive" then
-      heard[#heard + 1], events = each, match.with(events, each.word)
+  for _, noted in ipairs(log) do
+    for _, each in ipairs(noted.words) do
+      if not each.passed or each.passed._mode == "inactive" then
+        heard[#heard + 1], events = each, match.with(events, each.word)
+      end
     end
   end
   heard[#heard + 1] = { word = "step", active = own.active }
-  own.heard = heard
-  return events
+  return heard, events
 end
 
-local function end_iteration(own, at, events)
-  note_events(own, at, events)
-  if at.machine ~= own.fsm or not own.fsm._act_leaf then return end
-  own.has_begun = false
-  note_step(own, events)
-  if are_forwarded(own.fsm) then
-    own.forwarded = match.joined(own.forwarded, events)
-    return
-  end
-  events = keep_words(own, match.joined(own.forwarded, events))
-  own.forwarded = {}
-  for _, moment in ipairs(own.moments) do
-    local look = { active = moment.active, is_end = false, now = own.now }
-    local is_passed = moment.state._mode == "inactive"
-    for _, monitor in ipairs(is_passed and own.monitors or NOTHING) do
-      look_at(own, monitor, look, NOTHING)
+-- Has the monitors of the next step look at the states that this one passes, and at its
+-- end.
+local function judge(own, log, step, events)
+  step.heard, events = words_of(own, log, events)
+  for _, noted in ipairs(log) do
+    local is_passed = noted.moment and noted.subject._mode == "inactive"
+    local look = { active = noted.moment, is_end = false, now = own.now }
+    for _, monitor in ipairs(is_passed and step.monitors or NOTHING) do
+      look_at(own, step, monitor, look, NOTHING)
     end
   end
-  own.moments = {}
   local look = { active = own.active, is_end = true, now = read_clock(own),
     is_idle = is_idle(own.fsm) }
   look.is_at_rest = look.is_idle and not clock.until_timer(own.fsm)
-  for _, monitor in ipairs(own.monitors) do look_at(own, monitor, look, events) end
-  own.heard = {}
+  for _, monitor in ipairs(step.monitors) do
+    look_at(own, step, monitor, look, events)
+  end
+end
+
+-- Returns the step that follows when an iteration is over.
+local function step_after(own, step, events)
+  local is_over, trace = not are_forwarded(own.fsm), trace_with(own, step.trace, events)
+  events = match.joined(step.forwarded, events)
+  local after = { phase = "over", forwarded = is_over and {} or events, monitors = {},
+    log = is_over and {} or step.log, trace = trace,
+    reports = {} }
+  for i, monitor in ipairs(step.monitors) do
+    after.monitors[i] = {}
+    for key, value in order.each(monitor) do after.monitors[i][key] = value end
+  end
+  if is_over then judge(own, step.log, after, events) end
+  return after
+end
+
+local function end_iteration(own, at, events)
+  local is_inner = at.machine ~= own.fsm
+  if own.hears_more and (is_inner or own.step.phase ~= "over") then
+    local words = {}
+    if add_heard(own, at, words, events) then
+      note(own, at, "passed", nil, { words = words, has_events = true })
+    end
+  end
+  if is_inner or not own.fsm._act_leaf then return end
+  if own.step.phase ~= "over" then own.step = step_after(own, own.step, events) end
+  local reports = own.step.reports
+  while reports[1] do -- rather twice than never
+    rfsm.report(own.fsm, "err", reports[1])
+    remove(reports, 1)
+  end
 end
 
 -- Is a thing a condition, and not an event? A text is one if it could be a path.
@@ -339,23 +407,23 @@ local function is_timed(monitor) return monitor.property.seconds ~= nil end
 
 local function sees_passages(monitor) return kinds[monitor.property.kind].passes end
 
--- Notes which states are active when a step enters a state that it may leave again: a
--- composite, or any state of a region, which may take several steps in one.
-local function note_moment(own, at, state)
-  local may_pass = at.owner or rfsm.is_composite(state) and not rfsm.is_root(state)
+-- May a step leave a state again that it enters? It may leave a composite, and any
+-- state of a region, which may take several steps in one.
+local function may_pass(at, state)
+  return at.owner or rfsm.is_composite(state) and not rfsm.is_root(state)
     and location.is_passable(state)
-  if not may_pass then return end
-  own.moments[#own.moments + 1] = { state = state, active = own.snapshot() }
-  note_word(own, "pass", state)
 end
 
 -- Sets all monitors to their first state, in which no clock runs.
-local function begin(own)
-  own.trace, own.forwarded, own.moments, own.heard = {}, {}, {}, {}
-  for _, monitor in ipairs(own.monitors) do
-    monitor.state, monitor.clocks, monitor.is_told = "first", {}, false
-    monitor.is_in_scope = false
+local function begin(own, list)
+  local step = { phase = "new", trace = {}, forwarded = {}, log = {}, reports = {},
+    monitors = {} }
+  for i, monitor in ipairs(list) do
+    step.monitors[i] = { name = monitor.name, property = monitor.property,
+      observer = monitor.observer, state = "first", clocks = {}, is_told = false,
+      is_in_scope = false }
   end
+  own.step = step
 end
 
 --- End the watch, and remove its hooks from the machine.
@@ -366,7 +434,7 @@ function Watched:stop() self.stream:stop() end
 ---@return number? seconds
 function Watched:next_deadline()
   local least
-  for _, monitor in ipairs(self.monitors) do
+  for _, monitor in ipairs(self.step.monitors) do
     for _, began in ipairs(monitor.clocks) do
       local left = began + monitor.property.seconds - read_clock(self)
       if not least or left < least then least = left end
@@ -375,24 +443,42 @@ function Watched:next_deadline()
   return least
 end
 
+-- Returns a function of the listener. If it fails it is called again, which is as good
+-- as once: then it was cut short by an interrupt, or something of the user's fails.
+local function steadfast(own, f)
+  return function(...)
+    local ok, failure = pcall(f, own, ...)
+    if ok then return end
+    if pcall(f, own, ...) then error(failure, 0) end
+    rfsm.keep_failure(own.fsm, failure)
+  end
+end
+
 -- Adds what the monitors need to a listener: entries of states that a step may leave
 -- again, and what observers hear.
 local function listen(own, listener)
-  local hears_more = not order.is_empty(own.hears)
-  local sees_more = own.hears.pass or order.any(own.monitors, sees_passages)
-  function listener.entered(at, state)
-    if hears_more then note_word(own, "entry " .. location.path(state, at.prefix)) end
-    if sees_more then note_moment(own, at, state) end
+  local sees_more = own.hears.pass or order.any(own.step.monitors, sees_passages)
+  if own.hears_more or sees_more then
+    function listener.entered(_, at, state)
+      local words, moment = {}, nil
+      add_word(own, words, "entry " .. location.path(state, at.prefix))
+      if sees_more and may_pass(at, state) then
+        moment = own.snapshot()
+        add_word(own, words, "pass", state)
+      end
+      note(own, at, "entered", state, { words = words, moment = moment })
+    end
   end
-  if not (hears_more or sees_more) then listener.entered = nil end
-  function listener.taken(at, path, events)
+  function listener.taken(_, at, path, events)
     -- before a transition that needs no event no step hook is called
-    if not own.has_begun then begin_iteration(own, at) end
-    if hears_more then note_path(own, at, path, events) end
+    if own.step.phase ~= "begun" then begin_iteration(own, at) end
+    if own.hears_more then note_path(own, at, path, events) end
   end
-  if not hears_more then return end
-  function listener.left(at, state)
-    note_word(own, "exit " .. location.path(state, at.prefix))
+  if not own.hears_more then return end
+  function listener.left(_, at, state)
+    local words = {}
+    add_word(own, words, "exit " .. location.path(state, at.prefix))
+    note(own, at, "left", state, { words = words })
   end
 end
 
@@ -416,18 +502,19 @@ function watch_properties.watch_properties(fsm, given)
   end
   local active, snapshot = views_of(fsm)
   local own = setmetatable({ fsm = fsm, active = active, now = 0, leaf = false,
-    is_timed = false, meant = {}, snapshot = snapshot, hears = {}, heard = {},
-    has_begun = false, is_heard = false, path_of = {}, done = {},
-    forwarded = {} }, Watched)
-  own.monitors = monitors_of(own, where, given)
-  own.is_timed = order.any(own.monitors, is_timed)
-  begin(own)
-  local listener = {
-    began = function(at) begin_iteration(own, at) end,
-    passed = function(at, events) end_iteration(own, at, events) end,
-    reset = function(at) if at.machine == fsm then begin(own) end end,
-  }
-  listen(own, listener)
+    is_timed = false, meant = {}, snapshot = snapshot, hears = {}, path_of = {},
+    done = {} }, Watched)
+  local list = monitors_of(own, where, given)
+  own.is_timed = order.any(list, is_timed)
+  own.hears_more = not order.is_empty(own.hears)
+  begin(own, list)
+  local parts = { began = begin_iteration, passed = end_iteration,
+    reset = function(_, at) if at.machine == fsm then begin(own, list) end end }
+  listen(own, parts)
+  local listener = { is_repeatable = true }
+  for name, part in order.each(parts) do -- any order: independent entries
+    listener[name] = steadfast(own, part)
+  end
   own.stream = stream.follow(fsm, listener)
   return own
 end

@@ -233,7 +233,7 @@ local function time_of(at) return math.floor(at.sec * MS + at.nsec / 1e6 + 0.5) 
 
 -- Adds the times of properties.
 local function add_monitors(watched, add)
-  for _, monitor in ipairs(watched.monitors) do
+  for _, monitor in ipairs(watched.step.monitors) do
     for _, began in ipairs(monitor.clocks) do
       add(math.floor((began + monitor.property.seconds) * MS + 0.5))
     end
@@ -398,7 +398,7 @@ local function keeper(fsm, period)
   local last = 0
   return function(now)
     local over = {}
-    for _, ms in ipairs(deadlines_of(fsm, { monitors = {} }, last)) do
+    for _, ms in ipairs(deadlines_of(fsm, { step = { monitors = {} } }, last)) do
       if ms < now * MS - 1e-3 then over[#over + 1] = ms end
     end
     last = now * MS
