@@ -24,7 +24,7 @@ local error, ipairs, pcall = error, ipairs, try
 local pairs, rawget, rawset = pairs, rawget, rawset
 local setmetatable, type = setmetatable, type
 local concat, insert = table.concat, table.insert
-local remove, sort = table.remove, table.sort
+local sort = table.sort
 local max, min = math.max, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
@@ -304,6 +304,7 @@ end
 -- same hash tag, or for those that match a pattern. call(name, ...) sends a command
 -- to the server.
 local function each_group(self, f, pattern)
+  local seen = {} -- SCAN may list a key twice
   self.connection:each_master(function(call)
     local at = "0"
     repeat
@@ -313,9 +314,9 @@ local function each_group(self, f, pattern)
       local groups = {}
       for _, key in ipairs(reply[2]) do
         local ok, tag = pcall(keys_of.tag, key)
-        if ok and pcall(keys_of.machine, { key }) then
+        if ok and not seen[key] and pcall(keys_of.machine, { key }) then
           groups[tag] = groups[tag] or {}
-          groups[tag][#groups[tag] + 1] = key
+          groups[tag][#groups[tag] + 1], seen[key] = key, true
         end
       end
       for _, tag in ipairs(rfsm.sorted_keys(groups)) do f(call, groups[tag]) end
@@ -422,9 +423,6 @@ function Fleet:select(filter)
   end, filter.key)
   if not ok then return nil, problem end
   sort(found, by_key)
-  for i = #found, 2, -1 do -- SCAN may list a key twice
-    if found[i].key == found[i - 1].key then remove(found, i) end
-  end
   return found
 end
 

@@ -37,6 +37,7 @@ local OPTIONS = {
   allow_send = { "boolean", is_boolean, false },
   allow_why = { "boolean", is_boolean, false },
   clock = { "function that returns seconds", rfsm.is_callable },
+  from = { "file", opts.is_text },
   history = { "boolean", is_boolean, false },
   host = { "name or address", opts.is_text, "127.0.0.1" },
   machine = { "whole number from 1 on", opts.is_whole(1, huge) },
@@ -314,6 +315,7 @@ end
 ---@field allow_send? boolean with `serve`: may pages send events? default false
 ---@field allow_why? boolean with `serve`: may pages ask why an event did nothing? The
 -- answer calls guards. Default false
+---@field from? string with `open`: begin with the machine in this file of a fleet
 ---@field machine? integer with `attach`: show only the machine with this number;
 -- default: all machines of the port
 ---@field history? boolean with `serve`: observe the machine while no page is open, too?
@@ -363,8 +365,10 @@ end
 function web.open(file, options)
   local settings, problem = prepare(options)
   if not settings then return nil, problem end
-  local session = require("rfsm.web.driven").open(file, settings.clock
-    or settings.gettime, settings.stub)
+  local session
+  session, problem = require("rfsm.web.driven").open(file, settings.clock
+    or settings.gettime, settings.stub, settings.from)
+  if not session then return nil, problem end
   return open_server({ session }, settings)
 end
 

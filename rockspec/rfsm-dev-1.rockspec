@@ -97,6 +97,7 @@ build = {
     ["rfsm.monitor"] = "rfsm/monitor.lua",
     ["rfsm.observe.breakpoints"] = "rfsm/observe/breakpoints.lua",
     ["rfsm.observe.coverage"] = "rfsm/observe/coverage.lua",
+    ["rfsm.observe.moves"] = "rfsm/observe/moves.lua",
     ["rfsm.observe.names"] = "rfsm/observe/names.lua",
     ["rfsm.observe.outline"] = "rfsm/observe/outline.lua",
     ["rfsm.observe.rewind"] = "rfsm/observe/rewind.lua",

@@ -754,6 +754,8 @@ describe("rfsm fleet", function()
     assert.same({ "m:{0}:1", "timed", 3 }, { read.machine, read.chart, #read.history })
     assert.same({ "(set root.n: 1 -> 7) by ann", "root.a", "root.a" },
       { read.history[3].event, read.history[3].from, read.history[3].to })
+    assert.same({ { "%t", "n", 1 }, { "%t", "n", 7 } }, { -- the data of then
+      read.history[2].snap.data.root, read.history[3].snap.data.root })
     assert.equal("m:{0}:1 root.a (push) by ann\n",
       fleet_command("push", key, file, "--by ann"))
     assert.matches("^%S+ %(push%) by ann: root.a %-> root.a\n",
@@ -783,6 +785,7 @@ describe("rfsm fleet", function()
     for k = 1, 3 do assert(machines:create(k, "timed")) end
     local found = assert(machines:select {})
     assert.same({ 3, "m:{0}:1", "m:{0}:3" }, { #found, found[1].key, found[3].key })
+    assert.same({ 3, 3 }, { machines:versions()[1].count, machines:reindex() })
   end)
 
   it("does a verb for many machines", function()

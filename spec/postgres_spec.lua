@@ -941,7 +941,8 @@ SELECT rfsm.push('1', :'old', :now, 'ann');
 SELECT rfsm.set('1', 'n', '7', 'ann');
 SELECT rfsm.set('1', 'm', '7');
 SELECT event, src, tgt FROM rfsm.history ORDER BY id;
-SELECT jsonb_array_length((rfsm.pull('1')::jsonb)->'fleet'->'history');]])
+SELECT h->'snap'->'leaf', h->'snap'->'data'->'root'->2
+  FROM jsonb_array_elements((rfsm.pull('1')::jsonb)->'fleet'->'history') h;]])
     assert.equal([[
 root.even
 root.odd
@@ -955,7 +956,10 @@ ERROR:  rfsm.set: no state of chart 'counter' keeps the field 'm'
 e_tick|root.even|root.odd
 (push) by ann|root.odd|root.even
 (set root.n: 0 -> 7) by ann|root.even|root.even
-4
+"root.even"|0
+"root.odd"|1
+"root.even"|0
+"root.even"|7
 ]], (output:gsub("%d%d%d%d+", "N"):gsub(" %(did you mean.-%)", "")))
   end)
 

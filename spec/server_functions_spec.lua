@@ -96,7 +96,7 @@ describe("a call", function()
     assert.matches("ZREM {1=rfsm:in:{m},2=c\troot.a\tm}", lines, 1, true)
     assert.matches("ZADD {1=rfsm:in:{m},2=0,3=c\troot.b\tm}", lines, 1, true)
     assert.matches("XADD {1={m}:history,2=MAXLEN,3=5,4=*,5=event,6=e_b,7=from,8=root.a,"
-      .. "9=to,10=root.b}", lines, 1, true)
+      .. "9=to,10=root.b,11=snapshot,12=packed}", lines, 1, true)
     assert.matches("XADD {1=rfsm:out:{m},2=*,3=machine,4=m,5=what,6=b,7=data,8=",
       lines, 1, true)
     assert.matches("SPUBLISH {1=rfsm:{m}:m,2=root.b}", lines, 1, true)
@@ -478,7 +478,7 @@ describe("what is due", function()
     assert.equal("1003.500000", f.rfsm_get({ "r" })[16])
     local lines = {}
     for by, from, to in table.concat(trace, "\n")
-      :gmatch("event,6=(%S-),7=from,8=(%S-),9=to,10=(%S-)}") do
+      :gmatch("event,6=(%S-),7=from,8=(%S-),9=to,10=(%S-),11=") do
       lines[#lines + 1] = by .. " " .. from .. " " .. to
     end
     assert.same({ "e_go root.live.a root.live.b", "(time) root.live.b root.live.c",
@@ -607,6 +607,25 @@ describe("an event with data", function()
       assert.equal("", written())
     end)
   end
+end)
+
+it("notes a deferred event that another one has brought back, and who sends", function()
+  require "rfsm.defer"
+  load_library({ { name = "d", make = function()
+    return state { a = state { defer = { "e_x" } }, b = state {}, c = state {},
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = { "e_b" } },
+      trans { src = "b", tgt = "c", events = { "e_x" } } }
+  end } }, { history = 5 })
+  f.rfsm_create({ "d" }, { "d" })
+  for i = #trace, 1, -1 do trace[i] = nil end
+  f.rfsm_send({ "d" }, { "e_x", "BY", "ann", "ID", "1" })
+  assert.same({ "root.c", "done", "taken" }, f.rfsm_send({ "d" }, { "e_b" }))
+  local lines = {}
+  for by in table.concat(trace, "\n"):gmatch("event,6=(.-),7=from") do
+    lines[#lines + 1] = by
+  end
+  assert.same({ "e_x by ann", "e_b (recalled: e_x)" }, lines)
 end)
 
 it("does what one machine does whose host is punctual", function()

@@ -815,12 +815,13 @@ describe("a recording", function()
       .. "save " .. file .. "\n")
     assert.same({ "", 0 }, { complaints, status })
     assert.equal([[
-m:{0}:1: 2 moves in its history ('back' goes there; the data there are those of now)
+m:{0}:1: 2 moves in its history ('back' goes there)
 active: root.b(done)
 queue:
    1  1970-01-01 00:00:00             root.a(done)
    2  1970-01-01 00:01:00 e_b{n=1}    root.b(done)
   >1  1970-01-01 00:00:00             root.a(done)
+with the data of now, not those of this move:
 active: root.a(done)
 queue:
 7
@@ -866,6 +867,51 @@ no transition would be taken on e_b in root.b
     assert.matches("\nwith the data of now, not those of this move; where its regions "
       .. "were is not known:\nroot.trans%[2%] %(s %-> b%) would be taken",
       (sim("-q --from " .. file .. " " .. chart, "back\nwhy e_b\n")))
+  end)
+
+  it("of a fleet has data and regions of then, if the history has them", function()
+    local file, chart = helper.file_with(""), helper.file_with [[
+      local rfsm = require "rfsm"
+      require "rfsm.emem"
+      return rfsm.state { warn = false, info = false, keep = { "n" }, n = 0,
+        b = rfsm.state {},
+        s = rfsm.seqand { r = rfsm.state { a = rfsm.state {}, z = rfsm.state {},
+          rfsm.trans { src = "initial", tgt = "a" },
+          rfsm.trans { src = "a", tgt = "z", events = { "e_z" } } } },
+        rfsm.trans { src = "initial", tgt = "s" },
+        rfsm.trans { src = "s", tgt = "b", events = { "e_b" } } }]]
+    local fsm = helper.init(rfsm.load(chart))
+    rfsm.run(fsm)
+    fsm.n = 3
+    rfsm.send_events(fsm, "e_z")
+    rfsm.run(fsm)
+    local then_of = snapshot.take(fsm)
+    fsm.n = 4
+    rfsm.send_events(fsm, "e_b")
+    rfsm.run(fsm)
+    local snap = snapshot.take(fsm)
+    snap.fleet = { history = {
+      { time = 0, event = "", from = "", to = "root.s" },
+      { time = 5, event = "e_z", from = "root.s", to = "root.s", snap = then_of },
+      { time = 9, event = "e_b", from = "root.s", to = "root.b" } } }
+    assert(snapshot_file.write(file, snap))
+    assert.equal([[
+FILE: 3 moves in its history ('back' goes there)
+active: root.b(done)
+queue:
+  >2  1970-01-01 00:00:05 e_z         root.s(active)
+active: root.s(active)
+queue:
+3	root.z
+  >1  1970-01-01 00:00:00             root.s(done)
+with the data of now, not those of this move; where its regions were is not known:
+active: root.s(done)
+queue:
+4
+]], (sim("-q --from " .. file .. " " .. chart, "back\n"
+      .. "print(fsm.n, rfsm.get_actleaf_fqn(rfsm.regions(fsm.s)[1]))\n"
+      .. "back\nprint(fsm.n)\n"):gsub("queue:  \n", "queue:\n")
+      :gsub("^[^:]*", "FILE", 1)))
   end)
 
   it("of a chart that behaves otherwise now is replayed up to there", function()

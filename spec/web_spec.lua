@@ -10,6 +10,8 @@ local Painter = require "rfsm.web.picture"
 local proto = require "rfsm.proto"
 local rfsm = require "rfsm"
 local share = require "spec.support.share"
+local snapshot = require "rfsm.snapshot"
+local snapshot_file = require "rfsm.snapshot.file"
 local subscriber = require "rfsm.observe.subscriber"
 local follow = require "rfsm.proto.follow"
 local web = require "rfsm.web"
@@ -680,6 +682,35 @@ describe("a page", function()
     assert.equal("root.on.bright", page:command("back").leaf)
   end)
 
+  it("begins with a machine of a fleet, and goes back to its moves", function()
+    local file, lamp = helper.file_with(""), helper.file_with(LAMP)
+    local function at(leaf)
+      local fsm = helper.init(rfsm.load(lamp))
+      rfsm.place(fsm, fsm.on[leaf], "done", {})
+      return snapshot.take(fsm)
+    end
+    local snap = at "bright"
+    snap.fleet = { history = {
+      { time = 0, event = "", from = "root.gone", to = "root.off" },
+      { time = 0, event = "e_push", from = "root.off", to = "root.on.dim",
+        snap = at "dim" },
+      { time = 61, event = "e_more", from = "root.on.dim", to = "root.on.bright" } } }
+    assert(snapshot_file.write(file, snap))
+    local server = opened(assert(web.open(lamp, { port = 0, from = file,
+      clock = function() return now end })))
+    local page, first = http.page(server)
+    assert.equal("root.on.bright", first.leaf)
+    assert.same({ "note: with the data of now, not those of this move",
+      "note: 1970-01-01 00:00:00 e_push: root.off → root.on.dim",
+      "note: 1970-01-01 00:01:01 e_more: root.on.dim → root.on.bright" },
+      texts_of(first.log))
+    assert.equal("root.on.dim", page:command("back").leaf)
+    assert.equal("root.off", page:command("back", { to = 0 }).leaf)
+    assert.equal("root.on.dim", page:send("e_push").leaf)
+    helper.write(file, "{")
+    assert.matches("^/%S+: no JSON: ", select(2, web.open(lamp, { from = file })))
+  end)
+
   it("is told the same as another page", function()
     local server = open()
     local one, two = http.page(server), http.page(server)
@@ -1251,7 +1282,7 @@ describe("rfsm.web.serve", function()
     for text, options in pairs { -- any order: each stands alone
       ["port: whole number from 0 to 65535 expected, got -1"] = { port = -1 },
       ["unknown option 'prot' (did you mean 'port'?), expected: allow_send, "
-        .. "allow_why, clock, history, host, machine, port, stub, title"] =
+        .. "allow_why, clock, from, history, host, machine, port, stub, title"] =
         { prot = 1 },
       ["allow_send: boolean expected, got 1"] = { allow_send = 1 },
       ["host: name or address expected, got string ''"] = { host = "" },

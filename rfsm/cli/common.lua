@@ -127,6 +127,16 @@ function common.with_hint(problem, has_stubs)
   return problem
 end
 
+-- Adds the option --from. The machine may need what a server has.
+function common.add_from(command)
+  command:option("--from", "begin with the machine in FILE, see rfsm fleet")
+    :argname("FILE"):convert(function(file)
+      require "rfsm_timeevent"
+      require "rfsm.await"
+      return file
+    end)
+end
+
 -- Adds the option --machine. It is for files that are programs with several machines.
 function common.add_machine(command)
   common.add_number(command, "--machine", "of a program: number of the machine (1)")

@@ -130,10 +130,9 @@ local function why_lines(fleet, _, key, text)
   return ask(fleet.why, fleet, key, event_of(text))
 end
 
-local function send_lines(fleet, _, key, text, id)
+local function send_lines(fleet, options, key, text, id)
   local event = event_of(text)
-  return lines_of(id and ask(fleet.send_once, fleet, id, key, event)
-    or ask(fleet.send, fleet, key, event), "send")
+  return lines_of(ask(fleet.send_by, fleet, options.by, id, key, event), "send")
 end
 
 local function reindex_lines(fleet)
@@ -510,7 +509,8 @@ end
 local WIDE = { again = true, dead = true, drop = true, due = true, find = true }
 
 -- Options that only some verbs take.
-local TAKERS = { by = NOTES, dry_run = MANY, force = { set = true },
+local TAKERS = { by = setmetatable({ send = true }, { __index = NOTES }),
+  dry_run = MANY, force = { set = true },
   if_version = { push = true },
   where = setmetatable({ list = true }, { __index = MANY }) }
 
@@ -545,7 +545,10 @@ function command.run(options, parser)
   local name = options.verb
   check_options(options, parser)
   check_number(options, parser)
-  options.by = options.by or os.getenv("USER") or os.getenv("LOGNAME")
+  -- An older library would take the name of a sender for an event.
+  if NOTES[name] then
+    options.by = options.by or os.getenv("USER") or os.getenv("LOGNAME")
+  end
   local fleet = command.connect(options.url, { tags = options.tags })
   if WIDE[name] then ask(fleet.find_tags, fleet) end
   if MANY[name] then return do_many(fleet, options, options.where) end

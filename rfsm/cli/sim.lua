@@ -18,8 +18,7 @@ function sim.add_arguments(command)
   command:flag("-i --interactive", "read commands after CODE, too")
   common.add_option(command, "-r --replay", "run through the recording in FILE first")
     :argname("FILE")
-  command:option("--from", "begin with the machine in FILE, see rfsm fleet")
-    :argname("FILE")
+  common.add_from(command)
   command:flag("-d --dry", "leave the functions of the chart out")
   command:flag("-q --quiet", "print no banner, and no infos")
 end
@@ -27,10 +26,6 @@ end
 function sim.run(options)
   common.read(options.file)
   if options.replay then common.read(options.replay) end
-  if options.from then
-    require "rfsm_timeevent" -- which a server has
-    require "rfsm.await"
-  end
   local open = require("rfsm.cli.side_by_side").open
   return require("rfsm.sim.simulator").main(options, open)
 end

@@ -15,6 +15,7 @@ function web.add_arguments(command)
   common.add_file(command):args("?")
   command:argument("more"):args("?"):hidden(true)
   common.add_stub(command)
+  common.add_from(command)
   common.add_option(command, "-a --attach", "a machine that answers by rfsm.proto")
     :argname("HOST:PORT")
   common.add_number(command, "-m --machine", "with -a: its number at that port (all)")
@@ -37,8 +38,10 @@ function web.run(options, parser)
   end
   local server
   local page = { host = options.host, port = options.port, machine = options.machine,
-    stub = options.stub }
-  if options.attach then
+    stub = options.stub, from = options.from }
+  if options.from and options.attach then
+    parser:error("--from is for a FILE, not for -a")
+  elseif options.attach then
     local host, port = common.address_of(parser, options.attach)
     server = common.try(require("rfsm.web").attach(host, port, page))
   else

@@ -76,9 +76,11 @@ host.STATEMENTS = {
   move = [[UPDATE rfsm.machines SET state = $2, event = $3, since = clock_timestamp()
     WHERE key = $1]],
   history = [[SELECT extract(epoch FROM at)::text AS time, coalesce(event, '') AS event,
-    coalesce(src, '') AS src, coalesce(tgt, '') AS tgt FROM rfsm.history
+    coalesce(src, '') AS src, coalesce(tgt, '') AS tgt,
+    coalesce(snapshot, '{}')::text AS snapshot FROM rfsm.history
     WHERE key = $1 ORDER BY id DESC LIMIT $2::integer]],
-  note = "INSERT INTO rfsm.history (key, event, src, tgt) VALUES ($1, $3, $2, $2)",
+  note = [[INSERT INTO rfsm.history (key, event, src, tgt, snapshot)
+    VALUES ($1, $3, $2, $2, $4::jsonb->2)]],
   -- The trigger has noted that the row is gone.
   removed = [[UPDATE rfsm.history SET event = $2
     WHERE id = (SELECT max(id) FROM rfsm.history WHERE key = $1)]],
@@ -104,6 +106,12 @@ local function save_effects(server, execute, key, change)
   end
 end
 
+-- Returns the machine after a move as JSON; a list without a snapshot if that is not
+-- known, since other moves of the call follow.
+local function value_after(machine, i)
+  return machine.moves[i + 1] and "[]" or machine.value
+end
+
 -- Writes the row of a machine. Returns false if a new machine's key is taken. Each
 -- move is an UPDATE, so that triggers see it. Events that moved nothing are noted.
 local function save(server, execute, key, change)
@@ -115,7 +123,7 @@ local function save(server, execute, key, change)
     elseif move.from ~= move.to then
       execute("move", key, move.to, move.by)
     else
-      execute("note", key, move.to, move.by)
+      execute("note", key, move.to, move.by, datum(value_after(machine, i)))
     end
   end
   local written = execute(is_new and "insert" or "update", key, machine.chart.name,
@@ -174,6 +182,8 @@ function host.new(server, require, charts, options)
       local n = #items
       items[n + 1], items[n + 2] = move.time, move.event
       items[n + 3], items[n + 4] = move.src, move.tgt
+      local snap = server.json.decode(move.snapshot)
+      items[n + 5] = snap.version and snap or false
     end
     return items
   end

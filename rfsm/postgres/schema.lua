@@ -25,6 +25,8 @@ local STEPS = {
   { "rfsm.machines", "ALTER TABLE rfsm.machines "
     .. "ADD COLUMN IF NOT EXISTS leases integer NOT NULL DEFAULT 0;" },
   { "rfsm.history", "CREATE INDEX IF NOT EXISTS history_at ON rfsm.history (at);" },
+  { "rfsm.history", "ALTER TABLE rfsm.history "
+    .. "ADD COLUMN IF NOT EXISTS snapshot jsonb;" },
 }
 
 --- The version of the schema that the script makes.
@@ -525,7 +527,8 @@ CREATE TABLE IF NOT EXISTS rfsm.history (
   key text COLLATE "C" NOT NULL,
   event text,
   src text COLLATE "C",         -- NULL: the machine is new
-  tgt text COLLATE "C"          -- NULL: the machine was deleted
+  tgt text COLLATE "C",         -- NULL: the machine was deleted
+  snapshot jsonb                -- after it; NULL: a later move of the call has one
 );
 DO $$ BEGIN
   IF to_regclass('rfsm.history_key') IS NULL THEN
@@ -539,10 +542,12 @@ BEGIN
   IF TG_OP = 'DELETE' THEN
     INSERT INTO rfsm.history (key, src) VALUES (OLD.key, OLD.state);
   ELSIF TG_OP = 'INSERT' THEN
-    INSERT INTO rfsm.history (key, event, tgt) VALUES (NEW.key, NEW.event, NEW.state);
+    INSERT INTO rfsm.history (key, event, tgt, snapshot)
+      VALUES (NEW.key, NEW.event, NEW.state, NEW.value->2);
   ELSE
-    INSERT INTO rfsm.history (key, event, src, tgt)
-      VALUES (NEW.key, NEW.event, OLD.state, NEW.state);
+    INSERT INTO rfsm.history (key, event, src, tgt, snapshot)
+      VALUES (NEW.key, NEW.event, OLD.state, NEW.state,
+        CASE WHEN NEW.value <> OLD.value THEN NEW.value->2 END);
   END IF;
   RETURN NULL;
 END $$;

@@ -133,10 +133,11 @@ end
 local function add_moves(machine)
   local key = machine.key
   if options.index and machine.at ~= (machine.leaf or "") then add_to_index(machine) end
-  for _, at in ipairs(machine.moves) do
+  for i, at in ipairs(machine.moves) do
     if options.history then
       add_write("stream", "XADD", keys_of.history(key), "MAXLEN", options.history, "*",
-        "event", at.by, "from", at.from, "to", at.to)
+        "event", at.by, "from", at.from, "to", at.to, "snapshot",
+        machine.moves[i + 1] and "" or cmsgpack.pack(machine.list[3]))
     end
     if at.from ~= at.to then add_write(nil, "SPUBLISH", keys_of.channel(key), at.to) end
   end
@@ -336,19 +337,23 @@ function more.rfsm_find(keys, args)
   return found
 end
 
--- Lists the newest entries of a stream: the time of each, and its values.
-local function list_stream(stream, count)
+-- Lists the newest entries of a stream: the time of each, and its first values.
+local function list_stream(stream, count, most)
   local reply = {}
   for _, entry in ipairs(call("XREVRANGE", stream, "+", "-", "COUNT",
     whole_of(count, 10, 10000))) do
     reply[#reply + 1] = rfsm.number_text(entry[1]:match("^%d+") / 1000, "%.3f")
-    for i = 2, #entry[2], 2 do reply[#reply + 1] = entry[2][i] end
+    for i = 2, 2 * most, 2 do reply[#reply + 1] = entry[2][i] or "" end
   end
   return reply
 end
 
---- Return the latest moves of a machine, the newest first.
-function store.history(key, count) return list_stream(keys_of.history(key), count) end
+--- Return the latest moves of a machine, each with the snapshot after it.
+function store.history(key, count)
+  local moves = list_stream(keys_of.history(key), count, 4)
+  for i = 5, #moves, 5 do moves[i] = moves[i] ~= "" and cmsgpack.unpack(moves[i]) end
+  return moves
+end
 
 -- Returns for how many seconds the first entry of a stream is there, as a text.
 local function age_of_entry(stream)
@@ -399,11 +404,11 @@ end
 -- Calls f(key, list) for each machine in a list of keys. If there is no machine at the
 -- first key, calls it for all machines with its hash tag. Returns how many there are.
 local function each_machine(keys, f)
-  local count, found = 0, keys
+  local count, found, seen = 0, keys, {}
   local function see(key)
     local ok, list = pcall(store.read, key)
-    if not (ok and list) then return end
-    count = count + 1
+    if not (ok and list) or seen[key] then return end -- SCAN may list a key twice
+    count, seen[key] = count + 1, true
     f(key, list)
   end
   if call("TYPE", keys[1]).ok ~= "string" then
@@ -498,14 +503,14 @@ end
 -- rfsm_log KEY [count]: returns the latest errors of a machine, the newest first, each
 -- as two items: time and text.
 function more.rfsm_log(keys, args)
-  return list_stream(keys_of.log(keys_of.machine(keys)), args[1])
+  return list_stream(keys_of.log(keys_of.machine(keys)), args[1], 1)
 end
 
 -- rfsm_history KEY [count]: returns the latest moves of a machine, the newest first,
 -- each as four items: time, events, from, to.
 function more.rfsm_history(keys, args)
   if not options.history then fail("the library was made without --history") end
-  return store.history(keys_of.machine(keys), args[1])
+  return list_stream(keys_of.history(keys_of.machine(keys)), args[1], 3)
 end
 
 --- Add the functions for many machines to `all`.

@@ -18,6 +18,7 @@ local snapshot = require "rfsm.snapshot"
 local getmetatable, ipairs = getmetatable, ipairs
 local pcall, rawequal, rawget, rawset = pcall, rawequal, rawget, rawset
 local setmetatable, type = setmetatable, type
+local concat = table.concat
 local copy_of, fail, is_meta, text_of = encoding.copy_of, encoding.fail, rfsm.is_meta,
   rfsm.text_of
 local took_path = rfsm.took_path
@@ -388,6 +389,31 @@ function charts.step(chart, steps)
   for i = 1, #regions do is_taken = took_path(regions[i]) or is_taken end
   chart.fsm = fsm
   return is_idle, is_taken
+end
+
+-- Returns the texts of the events that a machine and its regions keep.
+local function waiting_in(chart)
+  local texts = {}
+  for i = 0, #chart.regions do
+    for _, event in ipairs(rfsm.waiting(chart.regions[i] or chart.fsm)) do
+      texts[#texts + 1] = rfsm.event_text(event, true)
+    end
+  end
+  return texts
+end
+
+--- Do the same as `charts.step`. Return also what a history has of the events that the
+--- machine kept before and keeps no longer: " (recalled: e_a, e_b)".
+function charts.step_noting(chart, steps)
+  local before, count, gone = waiting_in(chart), {}, {}
+  local is_idle, is_taken = charts.step(chart, steps)
+  if not before[1] then return is_idle, is_taken end
+  for _, text in ipairs(waiting_in(chart)) do count[text] = (count[text] or 0) + 1 end
+  for _, text in ipairs(before) do
+    count[text] = (count[text] or 0) - 1
+    if count[text] < 0 then gone[#gone + 1] = text end
+  end
+  return is_idle, is_taken, gone[1] and " (recalled: " .. concat(gone, ", ") .. ")"
 end
 
 -- Returns a table: path of a leaf, also of one in a region -> the leaf, and the machine

@@ -73,15 +73,18 @@ function Client:create(id, chart, data)
   return reply_of(self:ask("rfsm_create", id, chart, text, "ID", next_id(self)))
 end
 
--- Calls a function that takes events. The events are inserted before the last two
--- arguments, "ID" and an id. A table is an event with data, and is sent as JSON.
-local function ask_with(self, name, id, arguments, ...)
+-- Calls a function that takes events. The events are inserted from position `at` on. A
+-- table is an event with data, and is sent as JSON.
+local function ask_with(self, name, id, arguments, at, ...)
   for i = 1, select("#", ...) do
     local event = select(i, ...)
     local ok, text = true, event ~= nil and rfsm.text_of(event)
     if type(event) == "table" then ok, text = try(codec.encode, event) end
     if not ok then return nil, ("%s: event %d: %s"):format(self.where, i, text) end
-    if text then insert(arguments, #arguments - 1, text) end
+    if text then
+      insert(arguments, at, text)
+      at = at + 1
+    end
   end
   return self:ask(name, id, unpack(arguments))
 end
@@ -92,7 +95,8 @@ local function send_later(self, where, ticket, id, seconds, ...)
     error(self.where .. "." .. where .. ": seconds expected, " .. opts.got(seconds), 3)
   end
   local time = "+" .. rfsm.number_text(seconds, "%.6f")
-  local reply, problem = ask_with(self, "rfsm_send_at", id, { time, "ID", ticket }, ...)
+  local reply, problem = ask_with(self, "rfsm_send_at", id, { time, "ID", ticket },
+    2, ...)
   return reply and ticket, problem
 end
 
@@ -102,7 +106,7 @@ end
 ---@param ... any events; a table with a text `name` carries data
 ---@return rfsm.server.Reply? reply
 ---@return string? problem
-function Client:send(id, ...) return self:send_once(next_id(self), id, ...) end
+function Client:send(id, ...) return self:send_by(nil, nil, id, ...) end
 
 --- Send events with your own id, such as the id of a message that may arrive twice.
 ---@param event_id string the machine applies events with this id only once
@@ -111,7 +115,20 @@ function Client:send(id, ...) return self:send_once(next_id(self), id, ...) end
 ---@return rfsm.server.Reply? reply
 ---@return string? problem
 function Client:send_once(event_id, id, ...)
-  return reply_of(ask_with(self, "rfsm_send", id, { "ID", event_id }, ...))
+  return self:send_by(nil, event_id, id, ...)
+end
+
+--- Send events, and tell the history who does it.
+---@param who? string
+---@param event_id? string as for `send_once`
+---@param id any id of the machine
+---@param ... any events
+---@return rfsm.server.Reply? reply
+---@return string? problem
+function Client:send_by(who, event_id, id, ...)
+  local own = event_id or next_id(self)
+  local arguments = who and { "BY", who, "ID", own } or { "ID", own }
+  return reply_of(ask_with(self, "rfsm_send", id, arguments, 1, ...))
 end
 
 --- Send the answer to an entry. It is applied only once, also if the entry comes again.

@@ -18,6 +18,7 @@ local sums = require "rfsm.shared.sums"
 local times = require "rfsm.server.times"
 
 local ipairs, next, pairs, type = ipairs, next, pairs, type
+local insert = table.insert
 local fail, shown = encoding.fail, keys_of.shown
 
 local MAX_VALUE, MAX_FILE = 65536, 2097152 -- bytes
@@ -35,12 +36,15 @@ local function optional(text) return text ~= "" and text or nil end
 
 -- Pull -----------------------------------------------------------------------------
 
--- Returns the history in the order of time; nil if the library keeps none.
-local function history_of(items)
+-- Returns the moves in a history in the order of time. The newest have their snapshots,
+-- as many as fit into `room` bytes.
+local function history_of(items, room)
   local moves = {}
-  for i = #items - 3, 1, -4 do
-    moves[#moves + 1] = { time = rfsm.number_of(items[i]), event = items[i + 1],
-      from = items[i + 2], to = items[i + 3] }
+  for i = 1, #items, 5 do
+    local snap = items[i + 4]
+    room = room - (snap and #exact_json.encode(snap) or 0)
+    insert(moves, 1, { time = rfsm.number_of(items[i]), event = items[i + 1],
+      from = items[i + 2], to = items[i + 3], snap = room > 0 and snap or nil })
   end
   return moves
 end
@@ -161,7 +165,8 @@ function desk.add(functions, own)
     local time = list[own.SEC] and { list[own.SEC], list[own.NSEC] }
     file.fleet = { machine = key, chart = list[own.NAME], time = time or nil,
       revision = desk.revision_of(list),
-      history = own.history and history_of(own.history(key, MAX_HISTORY)) }
+      history = own.history and history_of(own.history(key, MAX_HISTORY),
+        MAX_FILE / 2 - #exact_json.encode(file)) }
     return sums.add(exact_json.encode(file)) .. "\n"
   end
 

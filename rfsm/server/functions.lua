@@ -67,7 +67,8 @@ local MAX_ID, MAX_LATER = 64, 100 -- bytes of an id; waiting events of a machine
 ---@field decode fun(text: string): any decodes JSON
 ---@field refuse fun(name: string, reason: string): any returns the reply of an error
 ---@field history? fun(key: string, count: integer): any[] the latest moves, the newest
---- first, each as four items: time, events, from, to; absent if the library keeps none
+--- first, each as five items: time, events, from, to, and the snapshot after it; false
+--- if only a later move of the same call has one
 ---@field count fun(machine: rfsm.server.Machine, errors: integer) counts a call for
 --- monitoring, after it was written
 ---@field add? fun(functions: table, options: rfsm.server.Options) adds functions that
@@ -83,7 +84,8 @@ local MAX_ID, MAX_LATER = 64, 100 -- bytes of an id; waiting events of a machine
 
 -- `versions` has for each name of a chart the list of its versions, the newest last.
 -- These are locals of the module because only one library runs in a server.
-local host, versions, options
+-- `step_chart` is `charts.step`, or `charts.step_noting` if there is a history.
+local host, versions, options, step_chart
 
 -- Arguments ----------------------------------------------------------------------
 
@@ -244,7 +246,6 @@ local function drop_id(ids, count)
 end
 
 local function add_id(machine, id)
-  if not id then return end
   local ids, count = machine.list[IDS] or {}, 0
   machine.list[IDS], ids[#ids + 1] = ids, id
   if options.ids_for then ids[#ids + 1] = floor(now()) end
@@ -257,22 +258,25 @@ local function add_id(machine, id)
   end
 end
 
--- Notes that a machine has come to a leaf. If it was there, this is only for a history.
+-- Notes that a machine has come to a leaf. If it was there, this is only for a history,
+-- which has no timers that moved nothing.
 local function add_move(machine, by, at)
   local from, moves = machine.at, machine.moves
-  if at == from and not options.history then return end
+  if at == from and (by == TIME or not options.history) then return end
   moves[#moves + 1] = { by = by, from = from, to = at }
   machine.at = at
 end
 
--- Steps a machine, and notes its move. `by` is the name of the events in the history.
--- Returns whether a path was taken.
+-- Steps a machine, and notes its move. `by` is the name of the events in the history,
+-- which also has those that were deferred before and have run now. Returns whether a
+-- path was taken.
 local function step(machine, by)
-  local is_idle, is_taken = charts.step(machine.chart, MAX_STEPS)
+  local is_idle, is_taken, recalled = step_chart(machine.chart, MAX_STEPS)
+  if recalled then by = by .. recalled end
   local leaf = machine.fsm._act_leaf
   local at = leaf and leaf._fqn or ""
   machine.is_idle = is_idle
-  if by ~= TIME or at ~= machine.at then add_move(machine, by, at) end
+  add_move(machine, by, at)
   return is_taken
 end
 
@@ -378,13 +382,14 @@ local function catch_up(machine)
 end
 
 -- Runs the due timers and events, then sends the events in `texts`, all in one step. If
--- the machine is held, or too much was due, the events in `texts` wait.
-local function move(machine, texts, id)
+-- the machine is held, or too much was due, the events in `texts` wait. `by` is who has
+-- sent them, for the history.
+local function move(machine, texts, id, by)
   local events, list = charts.events(machine.chart, texts), machine.list
   if not catch_up(machine) then
     if list[HELD] then keep_due(list) end
     add_later(machine, now(), id, texts)
-    add_move(machine, concat(texts, " ") .. " (waits)", machine.at)
+    add_move(machine, concat(texts, " ") .. " (waits)" .. by, machine.at)
     machine.outcome = "kept"
     return
   end
@@ -392,7 +397,7 @@ local function move(machine, texts, id)
     list[SNAP], list[SEC], list[NSEC] = snapshot.take(machine.fsm), times.get()
   end
   send(machine, events)
-  machine.outcome = step(machine, concat(texts, " ")) and "taken" or false
+  machine.outcome = step(machine, concat(texts, " ") .. by) and "taken" or false
 end
 
 -- Runs the due timers and events. If none were due, or if the machine is not idle after
@@ -468,7 +473,7 @@ local function save(machine, id)
   machine.mode = leaf and leaf._mode or "inactive"
   machine.outcome = machine.outcome or outcome_of(machine, snap)
   list[SNAP] = snap
-  if machine.outcome ~= "dropped" then add_id(machine, id) end
+  if id and machine.outcome ~= "dropped" then add_id(machine, id) end
   pack_machine(machine, due)
   host.write(machine, not list[HELD] and due or nil, emitted, log_of(machine, errors))
   host.count(machine, #errors)
@@ -529,15 +534,17 @@ function functions.rfsm_create(keys, args)
   return save(machine, id)
 end
 
--- rfsm_send KEY event... [ID id]: sends events to a machine and runs it.
+-- rfsm_send KEY event... [[BY who] ID id]: sends events to a machine and runs it. A
+-- history has who has sent them.
 function functions.rfsm_send(keys, args)
   local key, id = key_of(keys), take_id(args)
+  local by = id and take_by(args) or ""
   if not args[1] then fail("an event expected, got none") end
   local list = read(key)
   if id and has_id(list, id) then return reply_of(list, "known") end
   local machine = load_machine(key, list)
   machine.is_sent_to = true
-  move(machine, args, id)
+  move(machine, args, id, by)
   return save(machine, machine.outcome ~= "kept" and id)
 end
 
@@ -783,6 +790,7 @@ return function(server, list, settings)
   local made = {}
   host, versions, options = server, {}, settings or {}
   options.ids = options.ids or options.ids_for and 1000 or 16
+  step_chart = options.history and charts.step_noting or charts.step
   times.open(host)
   charts.use(host.decode)
   for _, chart in ipairs(list) do

@@ -214,7 +214,8 @@ topic "undo"
 local function moving(move, default)
   return function(sim, n)
     move(sim, n or default)
-    if sim.told then history.show(sim, 1) end
+    if sim.fleet then history.show(sim, 1) end
+    history.show_unknown(sim)
     sim:show()
   end
 end

@@ -8,17 +8,16 @@
 
 local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
-local location = require "rfsm.shared.location"
+local moves = require "rfsm.observe.moves"
 local files_of = require "rfsm.snapshot.file"
 local record = require "rfsm.record"
 local replay = require "rfsm.record.replay"
 local rewind = require "rfsm.observe.rewind"
 local snapshot = require "rfsm.snapshot"
 local tracks = require "rfsm.record.track"
-local typed = require "rfsm.shared.typed"
 
-local error, io, ipairs, os, type = error, io, ipairs, os, type
-local floor, max, min = math.floor, math.max, math.min
+local error, io, ipairs, type = error, io, ipairs, type
+local max, min = math.max, math.min
 local print = print
 local concat = table.concat
 local text_of = rfsm.text_of
@@ -32,7 +31,7 @@ local function about(sim, snap)
   local leaf = rfsm.get_actleaf_fqn(sim.fsm)
   local is_done = leaf and sim.fsm._act_leaf._mode == "done"
   if snap then leaf, is_done = snap.leaf, snap.done end
-  return { came = sim.came, sec = now.sec, nsec = now.nsec,
+  return { came = sim.came, sec = now.sec, nsec = now.nsec, unknown = sim.unknown,
     leaf = leaf and tracks.leaf_text(leaf, is_done) or "<none>" }
 end
 
@@ -160,55 +159,15 @@ end
 
 -- Machines of a fleet -------------------------------------------------------------
 
--- Puts the machine into a snapshot, as a server does. Raises an error if it cannot.
-local function put(sim, snap)
-  local fsm = sim.fsm
-  local ok, problem = snapshot.put(fsm, snap,
-    { migrate = fsm.migrate, rename = fsm.rename })
-  if not ok then error(problem, 0) end
-end
-
--- Returns what is known of the machine of a snapshot when it was in another leaf: its
--- data then are not.
-local function snap_in(snap, leaf)
-  return { version = snap.version, chart = snap.chart, data = snap.data,
-    leaf = leaf ~= "" and leaf or nil, done = leaf ~= "" or nil }
-end
-
--- Goes through the moves in a history, the oldest first. If the chart does not know a
--- state of one, this move and those before are left out. Returns how many were taken.
-local function go_through(sim, snap, moves)
-  local count = 0
-  for _, move in ipairs(moves) do
-    if calls.try(put, sim, snap_in(snap, move.from)) then
-      history.mark(sim)
-      sim.came = { os.date("!%Y-%m-%d %H:%M:%S ", floor(move.time))
-        .. typed.shown(move.event) }
-      count = count + 1
-    else
-      history.start(sim)
-      count = 0
-    end
-  end
-  return count
-end
-
 --- Put the machine where a file has it that a fleet has returned, or `history.keep`.
 -- Each move that the file tells of is an advance. Return how many there are, and the
 -- key of the machine. The error of a wrong file names it.
 function history.from(sim, name)
-  local snap, problem = files_of.read(name)
-  if not snap then error(problem, 0) end
-  local fleet = snap.fleet or {}
-  snap.fleet = nil
-  local ok, count = calls.try(function()
-    put(sim, snap)
-    local taken = go_through(sim, snap, fleet.history or {})
-    put(sim, snap)
-    return taken
-  end)
-  if not ok then error(name .. ": " .. text_of(count), 0) end
-  sim.told = count
+  local count, fleet = moves.follow(sim.fsm, name, function(move, unknown)
+    sim.unknown = unknown
+    history.mark(sim)
+    sim.came, sim.unknown = { moves.text_of(move) }, nil
+  end, function() history.start(sim) end)
   sim.fleet = { machine = fleet.machine, chart = fleet.chart,
     revision = fleet.revision }
   return count, fleet.machine
@@ -223,12 +182,11 @@ function history.keep(sim, name)
   if not ok then error("save: " .. problem, 0) end
 end
 
---- Print what is not known of this place: a file of a fleet has the leaf alone.
+--- Print what is not known of this place, where only the history of a fleet has it.
 function history.show_unknown(sim)
-  if sim.history.at >= (sim.told or 0) then return end
-  local has_regions = location.regions_of(sim.fsm._act_leaf or {})[1]
-  print("with the data of now, not those of this move" .. (has_regions
-    and "; where its regions were is not known:" or ":"))
+  local way = sim.history
+  local place = way[way.at]
+  if place and place.about.unknown then print(place.about.unknown .. ":") end
 end
 
 -- Show ----------------------------------------------------------------------------

@@ -55,6 +55,7 @@ local complain, text_of = terminal.complain, rfsm.text_of
 ---@field last_line? string|false the last line typed, if it was a command
 ---@field commands { list: rfsm.sim.Command[], find: fun(name): rfsm.sim.Command? }
 ---@field fleet? table of which machine in a fleet this one is a copy
+---@field unknown? string what is not known of the machine as it is noted now
 ---@field cell? rfsm.System the system, if the session has a system and no chart
 ---@field replay? fun(sim: rfsm.sim.Session, file: string): integer, string? takes
 -- the moves that a file lists; only a session of a system has this field

@@ -58,7 +58,7 @@ local function begin_from(sim, file)
     return false
   end
   print(("%s: %d moves in its history%s"):format(key or file, count, count > 0
-    and " ('back' goes there; the data there are those of now)" or ""))
+    and " ('back' goes there)" or ""))
   sim:show()
   return true
 end

@@ -15,6 +15,7 @@ local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
 local clock = require "rfsm.clock"
 local files = require "rfsm.shared.files"
+local moves = require "rfsm.observe.moves"
 local rewind = require "rfsm.observe.rewind"
 local LocalView = require "rfsm.web.local_view"
 local breakpoints = require "rfsm.observe.breakpoints"
@@ -22,7 +23,7 @@ local utf8 = require("rfsm.marsh").utf8
 
 local ipairs, os, pcall = ipairs, os, pcall
 local rawget, rawset, setmetatable = rawget, rawset, setmetatable
-local type, remove = type, table.remove
+local text_of, type, remove = rfsm.text_of, type, table.remove
 local ceil, huge, max, min = math.ceil, math.huge, math.max, math.min
 
 local LOOK_TIME = 0.5 -- seconds between two looks whether the file has changed
@@ -35,6 +36,7 @@ local TICK = 1e-6 -- seconds; times are rounded up to multiples of it
 ---@field problems string[] problems of the chart; empty if it runs
 ---@field generation integer how often the chart was loaded; a page draws each one anew
 ---@field way rfsm.observe.Rewind|false the earlier places; turn n + 1 begins at place n
+---@field from string? the file of a machine that is not loaded yet
 ---@field snap table? snapshot of the last machine, while the chart has a mistake
 ---@field time rfsm.clock.Clock seconds since the machine began, as the chart reads them
 ---@field is_live boolean the clock goes on with real time
@@ -121,6 +123,22 @@ local function run(session)
   view:note("note", ("not idle after %d steps"):format(Driven.MAX_STEPS))
 end
 
+-- Goes through the moves of the machine in a file: each is a turn. Returns the problem
+-- if the file is wrong.
+local function follow(session)
+  local view, from = session.view, session.from
+  session.from = nil
+  local ok, problem = calls.try(moves.follow, view.fsm, from, function(move, unknown)
+    if unknown then view:note("note", unknown) end
+    view:begin_turn(session.way:leave())
+    view:note("note", ("%s: %s \226\134\146 %s"):format(moves.text_of(move),
+      move.from, move.to))
+  end, function() start_way(session) end)
+  if ok then return view:touch() end
+  tell(session, "error", text_of(problem))
+  return text_of(problem)
+end
+
 -- Begins with a new machine. If the chart still has the state of the snapshot, the
 -- machine is put into that state; otherwise it runs from the start.
 local function begin(session, fsm, snap)
@@ -129,11 +147,12 @@ local function begin(session, fsm, snap)
   breakpoints.renew(session.view, function(line) tell(session, "warning", line) end)
   session.view:observe(true)
   for _, entry in ipairs(session.early) do session.view:note(entry[1], entry[2]) end
-  if not snap or rewind.carry_over(fsm, snap) then
+  if not (snap or session.from) or snap and rewind.carry_over(fsm, snap) then
     session.time:advance(-session.time:now())
     run(session)
   end
   start_way(session)
+  session.problem = session.from and follow(session)
   start_clock(session)
 end
 
@@ -296,12 +315,13 @@ function Driven:describe(message)
 end
 
 --- Open a chart, even if it has mistakes. `real()` returns the real time in seconds.
-function Driven.open(file, real, has_stubs)
+-- Return nil and the problem if the machine in the file `from` is wrong.
+function Driven.open(file, real, has_stubs, from)
   local session = setmetatable({
     file = file, title = file:match("[^/]+$"), real = real, view = false, problems = {},
     generation = 0, way = false, since = 0,
     time = clock.simulated(), is_live = true, points = {}, stopped = false,
-    has_stubs = has_stubs,
+    has_stubs = has_stubs, from = from,
     look_at = real() + LOOK_TIME, text = "", early = {}, snap = nil,
   }, Driven)
   local start = os.time() -- e_at needs the time of day
@@ -309,7 +329,7 @@ function Driven.open(file, real, has_stubs)
     return true, start + session.time.sec, session.time.nsec
   end)
   guarded(session, load, false)
-  return session
+  return not session.problem and session or nil, session.problem
 end
 
 return Driven

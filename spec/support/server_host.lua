@@ -45,7 +45,7 @@ local function new_redis(trace, clock)
     error_reply = function(text) return { err = text } end,
   }, {
     pack = function(list)
-      packed = encoding.copy_of(list)
+      if list[1] == "rfsm" then packed = encoding.copy_of(list) end -- not a snapshot
       return "packed"
     end,
     unpack = function(key) return encoding.copy_of(values[key]) end,

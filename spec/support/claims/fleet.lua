@@ -38,7 +38,8 @@ function Fleet:wake() self:ask "tick" end
 function Fleet:result()
   local trace, out = {}, {}
   for _, line in ipairs(self.calls) do
-    local from, to = line:match("^XADD {1={m}:history.*8=(.*),9=to,10=(.*)}$")
+    local from, to = line:match(
+      "^XADD {1={m}:history.*8=(.*),9=to,10=(.*),11=snapshot,12=.*}$")
     trace[#trace + 1] = from ~= to and to or nil
     out[#out + 1] = line:match('^XADD {1=rfsm:out.*8={"by":"(.*)"}}$')
   end
