@@ -38,7 +38,7 @@ describe("the usage of rfsm", function()
     plantuml = "[--stub] [--machine N] [-o FILE] FILE [FILE] ...",
     dot = "[--stub] [--machine N] [-o FILE] FILE [FILE] ...",
     mermaid = "[--stub] [--machine N] [-o FILE] FILE [FILE] ...",
-    web = "[--stub] [-a HOST:PORT] [-m N] [-p N] [--host HOST] [FILE]",
+    web = "[--stub] [--from FILE] [-a HOST:PORT] [-m N] [-p N] [--host HOST] [FILE]",
     watch = "[-m N] [-n N] HOST[:PORT]",
     fleet = "[--tags N] [--where FILTER] [--dry-run] [--if-version N] [--by NAME] "
       .. "[--force] URL VERB [ARGUMENT] ...",
@@ -415,7 +415,10 @@ describe("rfsm fleet", function()
       out = '1.000 e_batch{id="b8"} e_x: root.a -> root.a\n' },
     ["why k e_x"] = { called = { "k", "e_x" }, result = { "one", "two" },
       out = "one\ntwo\n" },
-    ["send k e_x"] = { called = { "k", "e_x" }, result = REPLY, out = REPLIED },
+    ["send k e_x"] = { called = { nil, nil, "k", "e_x" }, method = "send_by",
+      result = REPLY, out = REPLIED },
+    ["send k e_x my-1 --by ann"] = { called = { "ann", "my-1", "k", "e_x" },
+      method = "send_by", result = REPLY, out = REPLIED },
     ["hold k --by ann"] = { called = { "k", nil, "ann" }, result = REPLY,
       out = "k " .. NOTED },
     ["move k --by ann"] = { called = { "k", "ann" }, result = { leaf = "root.a",
@@ -459,7 +462,7 @@ describe("rfsm fleet", function()
         dead = function()
           return { { tag = "0", id = "1-0", machine = "k", what = "pick" } }
         end }
-      client[verb] = function(_, ...)
+      client[case.method or verb] = function(_, ...)
         calls[2] = { ... }
         return act()
       end
@@ -527,7 +530,7 @@ describe("rfsm fleet", function()
       .. "'n=2'",
     ["remove k l"] = "remove KEY expected, got 2 arguments: 'k', 'l'",
     ["set k n=1 --if-version 3"] = "set takes no --if-version",
-    ["send k e --by ann"] = "send takes no --by",
+    ["tick k --by ann"] = "tick takes no --by",
     ["get k --if-version 3 --force --by ann"] = "get takes no --by",
     ["again 0 1-0 --where age=1"] = "again: --where or TAG ID expected, not both",
   } do

@@ -372,7 +372,8 @@ describe("a snapshot of another chart", function()
     bare.chart = "00000000000"
     assert.same({ "gone: state root.on.high",
       "the snapshot holds no structure, that is all that is known (pass the chart of "
-        .. "its time: restore(model, snap, { old = model_of_then }))" },
+        .. "its time: restore(model, snap, { old = model_of_then }); a library "
+        .. "takes both charts under one name)" },
       select(3, snapshot.restore(other(), bare)))
   end)
 

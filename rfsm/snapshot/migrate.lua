@@ -295,7 +295,7 @@ local function known_lines(fsm, snap, options)
 end
 
 local UNKNOWN = " (pass the chart of its time: restore(model, snap, { old = "
-  .. "model_of_then }))"
+  .. "model_of_then }); a library takes both charts under one name)"
 
 local function missing(lost)
   local list = {}
