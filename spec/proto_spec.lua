@@ -470,11 +470,12 @@ describe("several machines at a port", function()
 
   it("are not kept alive", function()
     local server = install()
-    local kept = setmetatable({ init(lamp()) }, { __mode = "v" })
+    local first, second = init(lamp()), init(lamp())
+    local kept = setmetatable({ first, second }, { __mode = "v" })
     new_client(server):subscribe()
-    rfsm.run(kept[1])
-    kept[2] = init(lamp())
-    install { fsm = kept[2] }
+    rfsm.run(first)
+    install { fsm = second }
+    first, second = nil, nil -- luacheck: ignore 311
     collectgarbage()
     collectgarbage()
     assert.same({}, kept)
