@@ -1408,7 +1408,7 @@ local function tell_failure(fsm)
   end
   local text = "error executing " .. name .. " of " .. (owner._fqn or tostring(owner))
   if name == "doo" then text = "doo program of state '" .. owner._fqn .. "' failed" end
-  local id = name:upper():gsub("i", "I") -- Turkish has another capital i
+  local id = name:gsub("i", "I"):upper() -- Turkish has another capital i
   fsm._failed = false
   report(fsm, "err", id, text .. ": ", failure)
 end

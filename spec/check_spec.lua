@@ -348,6 +348,7 @@ describe("a field that is nearly one of an extension, or `always`,", function()
   it("is told with the right name, if the extension would take the value", function()
     local _, _, warnings = rfsm.verify_early(state {
       m = state { histroy = "deep", x = state { deffer = {}, defers = { "e_x" } },
+        z = state { deferred = {}, postponed = "data" },
         y = state { deffer = "data", histroy = "deep", time = {}, histry = {} },
         trans { src = "initial", tgt = "x" } },
       trans { src = "initial", tgt = "m" },
@@ -357,6 +358,7 @@ describe("a field that is nearly one of an extension, or `always`,", function()
     assert.same({
       "root.m.x: a state has no field 'defers' (did you mean 'defer'?)",
       "root.m.x: a state has no field 'deffer' (did you mean 'defer'?)",
+      "root.m.z: a state has no field 'deferred' (did you mean 'defer'?)",
       "root.m: a state has no field 'histroy' (did you mean 'history'?)",
       "root.trans[2] (m -> m): a transition has no field 'likley' (did you mean "
         .. "'likely'?)",

@@ -418,6 +418,9 @@ local CASES = {
     { c = x_in_c(), [4] = go("a", "c", "e"), [5] = go("c", "a", "e_done") },
     "root.trans[5] (c -> a): event 'e_done@root.c' never comes, no leaf right in "
       .. "'root.c' is final (final = true)" },
+  { "idle-reaction", "an e_fault where nothing can fail",
+    { [4] = go("a", "b", "e_fault"), [5] = go("b", "a", "e_fault", { effect = yes }) },
+    "root.trans[4] (a -> b): 'e_fault@root.a' never comes, 'root.a' has no callback" },
   { "init", "a time event, or an await, of a connector", { k = conn {},
     [4] = go("a", "k", "e_k"), [5] = go("k", "b", { "e_every(1)", "await(e_k)" }) },
     "root.trans[5].events (k -> b): 'e_every(1)' never fires here, 'root.k' is no "

@@ -136,7 +136,8 @@ local MEANINGS = {
 ---@param meaning "an end"|"a fault"
 ---@return boolean
 function codes.means(state, meaning)
-  local name = " " .. rfsm.text_of(state._id):upper():gsub("%A+", " ") .. " "
+  local id = rfsm.text_of(state._id):gsub("i", "I"):upper() -- as in Turkish
+  local name = " " .. id:gsub("%A+", " ") .. " "
   return order.any(MEANINGS[meaning], function(word)
     return name:find(" " .. word .. " ", 1, true)
   end)

@@ -7,6 +7,7 @@ local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local alphabet = require "rfsm.shared.alphabet"
 local match = require "rfsm.shared.match"
+local order = require "rfsm.shared.order"
 
 local getmetatable, ipairs, package = getmetatable, ipairs, package
 local rawequal, rawget, table = rawequal, rawget, table
@@ -47,6 +48,31 @@ local function check_e_done(tr, leaves, add)
       add("never-done", tr, ("event '%s' never comes, '%s' is no %s of this machine%s")
         :format(event, fqn, fqn:find("^root") and "leaf state" or "FQN",
         leaf_meant(fqn, leaves)))
+    end
+  end
+end
+
+-- e_fault where nothing fails ....................................................
+
+local CALLBACKS = { "entry", "exit", "doo", "guard", "effect" }
+
+-- Has a state, an element in it, or a transition from these a callback?
+local function has_callback(fsm, state)
+  local prefix = state._fqn .. "."
+  return order.any(rfsm.elements(fsm, rfsm.is_fsmobj), function(element)
+    local node = rfsm.is_trans(element) and element.src or element
+    return (node._fqn .. "."):sub(1, #prefix) == prefix
+      and order.any(CALLBACKS, function(field) return element[field] end)
+  end)
+end
+
+-- Finds events e_fault that never come, because there is no callback that could fail.
+local function check_e_fault(fsm, tr, add)
+  for _, event in ipairs(tr.src._names_fault and tr.events or {}) do
+    local name = rfsm.event_name(event)
+    if name == "e_fault@" .. tr.src._fqn and not has_callback(fsm, tr.src) then
+      add("idle-reaction", tr, ("'%s' never comes, '%s' has no callback"):format(name,
+        tr.src._fqn))
     end
   end
 end
@@ -295,6 +321,7 @@ function event_names.check(fsm, add)
   end
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     check_e_done(tr, leaves, add)
+    check_e_fault(fsm, tr, add)
     check_odd_events(tr, add)
   end
   check_typos(fsm, add)

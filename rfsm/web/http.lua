@@ -52,7 +52,7 @@ local function parse_headers(lines)
   for line in lines:gmatch("\r\n([^\r\n]*)") do
     local name, value = line:match("^([%w_-]+):%s*(.-)%s*$")
     if not name then return nil end
-    name = name:lower()
+    name = name:gsub("I", "i"):lower() -- Turkish has another small I
     if IS_SINGLE[name] and headers[name] then return nil end
     headers[name] = value
   end
