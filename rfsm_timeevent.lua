@@ -27,7 +27,7 @@ local rawget, rawset = rawget, rawset
 local setmetatable, tonumber, type = setmetatable, tonumber, type
 local ceil, floor, huge = math.ceil, math.floor, math.huge
 local max, min = math.max, math.min
-local insert, remove, sort = table.insert, table.remove, table.sort
+local insert, remove = table.insert, table.remove
 local is_callable, report, text_of = rfsm.is_callable, rfsm.report, rfsm.text_of
 
 local rfsm_timeevent = {}
@@ -170,10 +170,9 @@ end
 ---@field event rfsm_timeevent.Timeevent
 ---@field timers rfsm_timeevent.Timers the list that has this timer
 ---@field entry integer|false the number of the entry for which `sec` and `nsec` hold
----@field sec number|false seconds of the deadline; huge: not armed, false: not known
----@field nsec number nanoseconds in addition to `sec`
----@field left number nanoseconds until the deadline, at the latest search
----@field rank integer position of the timer in the list of the latest search
+---@field sec? number|false seconds of the deadline; absent or huge: not armed, false:
+-- not known
+---@field nsec? number nanoseconds in addition to `sec`
 
 local MARGIN = 0.001 -- seconds; above the rounding error of a time stored as a float
 
@@ -187,14 +186,24 @@ local function is_usual(event) return event.is_relative and event.sec end
 -- Returns the deadline of a timer; false if it is not known.
 local function deadline_of(timer)
   local timers, event = timer.timers, timer.event
-  if timer.entry == timers.entry then return timer.sec, timer.nsec end
-  if not (timers.sec and is_usual(event)) then return false, 0 end
+  if timer.entry == timers.entry then
+    local sec = timer.sec
+    if sec == nil then return huge, 0 end
+    return sec, timer.nsec
+  elseif not (timers.sec and is_usual(event)) then
+    return false, 0
+  end
   return timers.sec + event.sec, timers.nsec + event.nsec
 end
 
 -- Sets the deadline of one timer, and returns it. `timer.entry` makes the deadline
--- valid. It is written last, so that an interrupt leaves no half-written deadline.
+-- valid. It is written last, so that an interrupt leaves no half-written deadline. Most
+-- timers expire once in an entry: they never get the other fields.
 local function set(fsm, timer, sec, nsec)
+  if timer.sec == nil and sec == huge then
+    timer.entry = timer.timers.entry
+    return sec, nsec
+  end
   local own, kind = fsm._timeevent, timer.event.is_relative
   timer.entry = false
   timer.sec, timer.nsec = sec, nsec
@@ -266,11 +275,6 @@ local function enter_state(fsm, state)
   if is_unusual then arm_unusual(fsm, timers) end
 end
 
-local function expires_before(a, b)
-  if a.left ~= b.left then return a.left < b.left end
-  return a.rank < b.rank
-end
-
 -- Returns the nanoseconds from the time `now` until the time `sec`, negative if `sec`
 -- has passed. Each time is given as seconds and nanoseconds.
 local function time_left(sec, nsec, now, now_nsec)
@@ -282,6 +286,13 @@ local function left_of(fsm, timer, now, now_nsec)
   local sec, nsec = deadline_of(timer)
   if not sec then sec, nsec = arm(fsm, timer, now, now_nsec) end
   return time_left(sec, nsec, now, now_nsec)
+end
+
+-- Returns where a timer belongs in a list of expired ones up to number `at`: the
+-- earliest is first.
+local function place_of(list, at, fsm, left, now, now_nsec)
+  if at < 1 or left_of(fsm, list[at], now, now_nsec) <= left then return at + 1 end
+  return place_of(list, at - 1, fsm, left, now, now_nsec)
 end
 
 -- An expiry has no loop: LuaJIT would give up a host's loop around loops that mostly
@@ -300,8 +311,10 @@ local function append_expired(list, state, i, least, fsm, is_relative, now, now_
     local left = left_of(fsm, timer, now, now_nsec)
     if left >= 0 then
       least = min(least, left)
+    elseif list[1] == nil then
+      list[1] = timer
     else
-      timer.left, timer.rank, list[#list + 1] = left, #list, timer
+      insert(list, place_of(list, #list, fsm, left, now, now_nsec), timer)
     end
   end
   return append_expired(list, state, i + 1, least, fsm, is_relative, now, now_nsec)
@@ -310,11 +323,9 @@ end
 -- Lists the expired timers of one kind, e_after or e_at, the earliest first. Also
 -- returns the nanoseconds to the next expiry.
 local function find_expired(fsm, is_relative, now, now_nsec)
-  if fsm._mode == "inactive" then return {}, huge end
   local list = {}
-  local least = append_expired(list, fsm, 1, huge, fsm, is_relative, now, now_nsec)
-  if list[2] then sort(list, expires_before) end
-  return list, least
+  if fsm._mode == "inactive" then return list, huge end
+  return list, append_expired(list, fsm, 1, huge, fsm, is_relative, now, now_nsec)
 end
 
 -- Returns the next send and the nanoseconds until its time; nil and huge if none waits.
@@ -545,8 +556,7 @@ end
 
 local function add_timer(fsm, state, name, event)
   local own, timers = fsm._timeevent, state._timers
-  local timer = { name = name, event = event, timers = timers, entry = false,
-    sec = false, nsec = 0, left = 0, rank = 0 }
+  local timer = { name = name, event = event, timers = timers, entry = false }
   timers[#timers + 1] = timer
   if is_usual(event) then
     timers.delay = min(timers.delay, event.sec + event.nsec * 1e-9 - MARGIN)

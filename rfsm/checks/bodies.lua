@@ -257,7 +257,7 @@ end
 local function problem_of_method(node, fsm, machine)
   local name = node[2][1]
   local is_machine = fsm and is_name(node[1], fsm)
-  local is_function = type(rawget(rfsm, name)) == "function"
+  local is_function = type(rfsm[name]) == "function"
   if is_machine and name == "emit" then
     return ("emit gets the event first (%s.emit(...), with a dot)"):format(fsm)
   elseif is_machine and is_function and machine[name] == nil then

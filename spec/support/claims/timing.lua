@@ -240,6 +240,14 @@ local function add_monitors(watched, add)
   end
 end
 
+local function deadline_of(timer, timers)
+  local event = timer.event
+  if timer.entry == timers.entry then
+    return { sec = timer.sec or math.huge, nsec = timer.nsec or 0 }
+  end
+  return { sec = timers.sec + event.sec, nsec = timers.nsec + event.nsec }
+end
+
 -- Lists the moments behind which timers of active states, or times of properties, are
 -- over. One that is now is not over yet.
 local function deadlines_of(fsm, watched, now)
@@ -251,9 +259,7 @@ local function deadlines_of(fsm, watched, now)
     for _, state in ipairs(rfsm.elements(entry.machine, rfsm.is_state)) do
       local timers = state._mode ~= "inactive" and state._timers
       for _, timer in ipairs(timers or {}) do
-        local event, is_alone = timer.event, timer.entry == timers.entry
-        local ms = time_of(is_alone and timer or { sec = timers.sec + event.sec,
-          nsec = timers.nsec + event.nsec })
+        local event, ms = timer.event, time_of(deadline_of(timer, timers))
         add(ms)
         if event.is_repeated then add(ms + time_of(event)) end
       end
