@@ -3409,22 +3409,18 @@ end
 -- A list of hooks is replaced, never changed, so that a call of its hooks is not
 -- disturbed. rfsm/shared/types.lua describes the functions and their arguments.
 
-local KINDS_OF_HOOKS, new_hook_function
-
 do
   local function is_state_of(fsm, state) return is_node_of(fsm, state, "state") end
 
   local function is_trans_of(fsm, tr) return rfsm.is_trans(tr) and tr._fsm == fsm end
 
-  local WATCHED = "'sent', 'failed', 'failed_inside', 'resumed', 'ended', 'merged' or "
-    .. "'discarded'"
+  local WATCHED = { sent = true, failed = true, resumed = true, ended = true,
+    merged = true, discarded = true, failed_inside = true }
 
-  local function is_watched(_, what)
-    return type(what) == "string" and WATCHED:find("'" .. what .. "'", 1, true)
-  end
+  local function is_watched(_, what) return WATCHED[what] end
 
   -- The kinds of hooks, rfsm.HookKind by name: rfsm.<kind>_hook_add and _rm.
-  KINDS_OF_HOOKS = {
+  local KINDS_OF_HOOKS = {
     pre_step = { list = "_pre_hooks", own = "pre_step_hook", is_step = true },
     post_step = { list = "_post_hooks", own = "post_step_hook", is_step = true },
     source = { list = "_source_hooks", is_step = true },
@@ -3435,7 +3431,9 @@ do
       expected = "state of the fsm" },
     guard = { list = "_guard_hooks", is_path = true, is_subject = is_trans_of,
       expected = "transition of the fsm" },
-    watch = { list = "_watch_hooks", is_subject = is_watched, expected = WATCHED },
+    watch = { list = "_watch_hooks", is_subject = is_watched,
+      expected = "'sent', 'failed', 'failed_inside', 'resumed', 'ended', 'merged' or "
+        .. "'discarded'" },
     reset = { list = "_reset_hooks" }, reaction = { list = "_reaction_hooks" },
     waiting = { list = "_waiting_hooks" }, fate = { list = "_fate_hooks" },
   }
@@ -3483,10 +3481,10 @@ do
     if kind.is_path and fsm._has_paths then engine.drop_paths(fsm) end
   end
 
-  local function new_add(name, kind)
+  local function define_hooks(name, kind)
     local where, field = "rfsm." .. name .. "_hook_add", kind.list
 
-    return function(fsm, subject, hook)
+    rfsm[name .. "_hook_add"] = function(fsm, subject, hook)
       local place = nil
       check_machine(fsm, where)
       if not kind.is_subject then subject, hook, place = nil, subject, hook end
@@ -3504,14 +3502,12 @@ do
       note_change(fsm, kind)
       if subject == "discarded" or name == "fate" then rfsm.follow_fates(fsm) end
     end
-  end
 
-  local function new_rm(name, kind)
-    return function(fsm, subject, hook)
-      local owner, key = fsm, kind.list
+    rfsm[name .. "_hook_rm"] = function(fsm, subject, hook)
+      local owner, key = fsm, field
       check_machine(fsm, "rfsm." .. name .. "_hook_rm")
       if kind.is_subject then
-        owner, key = fsm[key] or NONE, subject
+        owner, key = fsm[field] or NONE, subject
       else
         hook = subject
       end
@@ -3525,11 +3521,8 @@ do
     end
   end
 
-  -- Returns the function that a name such as "path_hook_add" means, nil for any other.
-  function new_hook_function(name)
-    local kind, verb = name:match("^(.*)_hook_(%l+)$")
-    local make = verb == "add" and new_add or verb == "rm" and new_rm
-    return make and KINDS_OF_HOOKS[kind] and make(kind, KINDS_OF_HOOKS[kind]) or nil
+  for name, kind in pairs(KINDS_OF_HOOKS) do -- any order: independent entries
+    define_hooks(name, kind)
   end
 end
 
@@ -3667,12 +3660,16 @@ end
 -- Names: files that are loaded when one of their names is first read ----------------
 
 do
-  local PARTS = [[ rfsm_seqand: seqand forward; rfsmpp: pp; rfsm.merge: fsm_merge;
-    rfsm.fates: follow_fates foretell; rfsm.always: check_always;
-    rfsm.prepare: prepare save_memory machines note_cut set_emit;
-    rfsm.tools: check_between_steps check_no_otrs is_in map_from_to node_find_enabled
-    place set_sta_mode begin_in snapshot_hooks structure_of target_of targets took_path
-    waiting check_events is_free is_idle; ]]
+  local PARTS = { seqand = "rfsm_seqand", forward = "rfsm_seqand", pp = "rfsmpp",
+    fsm_merge = "rfsm.merge", follow_fates = "rfsm.fates", foretell = "rfsm.fates",
+    prepare = "rfsm.prepare", save_memory = "rfsm.prepare", machines = "rfsm.prepare",
+    note_cut = "rfsm.prepare", set_emit = "rfsm.prepare", check_always = "rfsm.always" }
+
+  for name in ([[check_between_steps check_no_otrs is_in map_from_to
+    node_find_enabled place set_sta_mode begin_in snapshot_hooks structure_of target_of
+    targets took_path waiting check_events is_free is_idle ]]):gmatch("%S+") do
+    PARTS[name] = "rfsm.tools"
+  end
 
   engine.add, engine.advise, engine.append = add, advise, append
   engine.enabled, engine.first_enabled, engine.follow = enabled, first_enabled, follow
@@ -3690,22 +3687,18 @@ do
 
   -- Loads the file with the function of a name. Files named rfsm.<part> return a
   -- function that adds theirs to this table. Any other is a module of the user's.
-  local function load_part(name, module)
+  local function load_part(name)
+    local module = PARTS[name]
     local part = find_module(module)
     if part and module:find("^rfsm%.") then part(rfsm, engine) end
     if not part and module ~= "rfsmpp" then part = missing(name, module) end
-    return rawget(rfsm, name) or part
+    rfsm[name] = rawget(rfsm, name) or part
+    return rawget(rfsm, name)
   end
 
-  local function find_field(_, name)
-    if type(name) ~= "string" or not name:find("^[%l_]+$") then return nil end
-    local module = PARTS:match("(%S+):[^:]*%f[%w_]" .. name .. "%f[ ;\n]")
-    local value = module and load_part(name, module) or new_hook_function(name)
-    if value then rfsm[name] = value end
-    return value
-  end
-
-  setmetatable(rfsm, { __index = find_field, parts = PARTS, hooks = KINDS_OF_HOOKS })
+  setmetatable(rfsm, { __index = function(_, name)
+    return PARTS[name] and load_part(name)
+  end })
 end
 
 do

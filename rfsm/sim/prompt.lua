@@ -207,18 +207,6 @@ local function events_now(fsm)
   return words
 end
 
--- Appends the functions of `rfsm`, also those that are loaded when they are used.
-local function append_functions(words)
-  local class = getmetatable(rfsm)
-  local function add(name) words[#words + 1] = "rfsm." .. name end
-  for name in pairs(rfsm) do add(name) end -- any order: sorted later
-  for name in class.parts:gmatch("%s([%w_]+)%f[%s;]") do add(name) end
-  for kind in pairs(class.hooks) do -- any order: sorted later
-    add(kind .. "_hook_add")
-    add(kind .. "_hook_rm")
-  end
-end
-
 -- Returns two lists of words for the Tab key after the text `before`: all words, and
 -- the words to offer first.
 local function words_after(sim, before)
@@ -234,7 +222,7 @@ local function words_after(sim, before)
   end
   if kind == "points" and not before:find("%sif%s") then return words, {} end
   for name in pairs(sim.env) do words[#words + 1] = name end -- any order: sorted later
-  append_functions(words)
+  for name in pairs(rfsm) do words[#words + 1] = "rfsm." .. name end
   return words, {}
 end
 
