@@ -258,6 +258,22 @@ return rfsm.state { info = false, a = rfsm.state {}, b = rfsm.state {},
     end)
   end
 
+  for _, code in ipairs { "prestr", "poststr" } do
+    it("fails if another launch begins inside of it: " .. code, function()
+      local chart = chart_file()
+      local arm, exec_str = own(("fsmfile = %q, %s = NESTED"):format(chart, code),
+        ("NESTED = NESTED or [[rfsm_rtt.launch { fsmfile = %q }]]"):format(chart))
+      for times = 1, 2 do
+        assert.is_false(arm:configure())
+        assert.equal(times, #logged("another launch began inside of it"))
+        assert.equal("nil", evaluate(exec_str, "fsm"))
+      end
+      exec_str "NESTED = ''"
+      assert(arm:configure())
+      assert(arm:start())
+    end)
+  end
+
   local SHORT = "error('not enough memory', 0)"
   for _, case in ipairs { -- stage of the launch, setting, code in it
     { "the launch begins", "prestr", SHORT },

@@ -255,6 +255,19 @@ describe("prefix", function()
     assert.equal("arm.e_hot arm.e_hot", evaluate(exec_str, "table.concat(seen, ' ')"))
     arm:stop()
   end)
+
+  it("keeps the class of an object that carries data", function()
+    local arm, exec_str, start = started(own_fields(
+      "{ { 'f', type = 'double', prefix = 'arm', event = f } }",
+      "poststr = [[rfsm.pre_step_hook_add(fsm, function(_, events) "
+        .. "for _, e in ipairs(events) do hot = e end end)]]"),
+      "local class = { __index = { unit = 'K' }, __metatable = false } "
+        .. "function f() return setmetatable({ name = 'e_hot' }, class) end")
+    feed("arm.f", "double"):write(1)
+    start()
+    assert.equal("arm.e_hot K", evaluate(exec_str, "hot.name .. ' ' .. hot.unit"))
+    arm:stop()
+  end)
 end)
 
 describe("event", function()
@@ -527,6 +540,9 @@ describe("a launch refuses ports", function()
         .. "it uses 'file_with'" },
     ["with a function of C"] = { { { "a", event = print } },
       "ports[1]: event: function in Lua expected, got one in C" },
+    ["with an object that can be called"] = { { { "a",
+      event = setmetatable({}, { __call = print }) } },
+      "ports[1]: event: function in Lua expected, got table" },
   } do
     it(title, function()
       local before = rtt_helper.loaded()

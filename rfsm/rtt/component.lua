@@ -453,6 +453,7 @@ local function undo(launch)
   end
   if launch.unload_timer then pcall(launch.unload_timer) end
   launch:forget()
+  if rfsm_rtt.launched then rfsm_rtt.launched:forget() end -- perhaps one inside of it
 end
 
 -- Logs that rttlib is loaded after the launch.
@@ -508,7 +509,9 @@ function component.start(launch)
     begin(launch)
     load_libraries(launch)
     rfsm_rtt.launched = launch -- now: an exception of C++ may end the launch
-    return set_up(launch)
+    local hook = set_up(launch)
+    if rfsm_rtt.launched == launch then return hook end
+    error("another launch began inside of it", 0)
   end)
   if is_harder then collectgarbage("setstepmul", usual) end
   rfsm_rtt.forget_modules()

@@ -10,8 +10,9 @@ local held_port = require "rfsm.rtt.port"
 local options = require "rfsm.shared.options"
 local update = require "rfsm.rtt.update"
 
-local error, ipairs, package, pairs = error, ipairs, package, pairs
-local pcall, rawget, type = pcall, rawget, type
+local debug, error, ipairs, next = debug, error, ipairs, next
+local package, pcall, rawget = package, pcall, rawget
+local setmetatable, type = setmetatable, type
 
 -- The functions that stay use these locals, so that the modules can be collected.
 local got, try = rfsm.got, calls.try
@@ -175,9 +176,9 @@ end
 local function prefixed(prefix, event)
   if type(event) ~= "table" then return prefix .. "." .. event end
   local copy = {}
-  for key, value in pairs(event) do copy[key] = value end -- any order: a copy
+  for key, value in next, event do copy[key] = value end -- any order: a copy
   copy.name = prefix .. "." .. event.name
-  return copy
+  return setmetatable(copy, debug.getmetatable(event))
 end
 
 --- Return a function that makes the event of a sample; nil if the samples are events.

@@ -34,7 +34,10 @@ end
 -- Returns a function as Lua source. The other Lua has none of its upvalues.
 local function code_of(f, where)
   local ok, code = pcall(dump, f)
-  if not ok then error(where .. "function in Lua expected, got one in C", 0) end
+  if not ok then
+    error(where .. "function in Lua expected, "
+      .. (type(f) == "function" and "got one in C" or rfsm.got(f)), 0)
+  end
   local name = upvalue_of(f)
   if not name then return ("assert((loadstring or load)(%q))"):format(code) end
   error(("%sfunction that uses no local of its surroundings expected, it uses '%s'")
