@@ -710,6 +710,17 @@ do
     .. "_doo_co _fqn _fsm _id _index _initialized _intq _is_asked _is_internal "
     .. "_is_leaf _mode _model _otrs _parent _paths _target "
 
+  -- Fields of a machine that are absent until they are needed, beside DEFAULTS.
+  --   _again       the events that `keep_made` has put ahead of the queue
+  --   _elements    for `elements`, while preproc functions run
+  --   _emit        the function given to `set_emit`
+  --   _has_always  has a transition that needs no event: no iteration is usual
+  local LATER_FIELDS = " _again _elements _emit _entrance _entry_hooks _event "
+    .. "_exit_hooks _failed _failure _fate_hooks _fates _given_to _got _guard_hooks "
+    .. "_has_always _has_paths _owner _path_hooks _preparing _reaction_hooks "
+    .. "_region_name _reset_hooks _reset_wanted _snapshot_hooks _source_hooks "
+    .. "_structure _waiting_hooks _watch_hooks "
+
   -- Checks the name of a node: a path can contain it, and it is no field of the parent.
   local function check_name(build, kind, node)
     local name, fields = node._id, node._depth == 1 and ROOT_FIELDS or NONE
@@ -777,7 +788,8 @@ do
   -- Copies a field of the user's data.
   local function clone_datum(build, kind, obj, key, value)
     local is_root = rawequal(obj, build.fsm)
-    if is_root and is_meta(key) and obj[key] ~= nil then
+    if is_root and is_meta(key)
+      and (obj[key] ~= nil or LATER_FIELDS:find(" " .. key .. " ", 1, true)) then
       return add(build.warnings, obj, key, words("a field of the machine"))
     end
     if type(value) == "table" then value = clone_data(build.copies, value) end
@@ -1179,17 +1191,8 @@ local function no_events() return {} end
 -- Fields that a machine inherits until it sets them.
 local DEFAULTS = {
   rfsm = "state", type = State.type, new = State.new, _id = "root", _fqn = "root",
-  _choices = NONE, _entrance = false, _given_to = false, _given_at = 0,
-  _structure = false, _segments = NONE, -- transition -> target -> rfsm.Segment
-  dbg = silent, getevents = no_events, _guard_hooks = false, _fates = false,
-  _has_paths = false, _merges = 0, _entry_hooks = false, _exit_hooks = false,
-  _reset_hooks = false, _path_hooks = false, _watch_hooks = false,
-  _fate_hooks = false, _snapshot_hooks = false, _failure = false, _failed = false,
-  _reset_wanted = false, _preparing = false,
-  _elements = false, -- for `elements`, while preproc functions run
-  _emit = false, -- the function given to `set_emit`
-  _has_always = false, -- has a transition that needs no event: no iteration is usual
-  _again = false, -- the events that `keep_made` has put ahead of the queue
+  _choices = NONE, _given_at = 0, _segments = NONE, -- transition -> target -> Segment
+  dbg = silent, getevents = no_events, _merges = 0,
   _cuts = 0, -- number of iterations that an error has ended, and of such resets
 }
 
@@ -3460,7 +3463,7 @@ do
     owner[field] = hooks
   end
 
-  -- Removes a hook from the list in a field of `owner`. An empty list becomes false, as
+  -- Removes a hook from the list in a field of `owner`. An empty list becomes nil, as
   -- in a new machine. Returns true if the hook was in the list.
   local function take_out(owner, field, hook)
     local old = owner[field] or NONE
@@ -3469,7 +3472,7 @@ do
         local hooks, front = append({}, old), old.front or 0
         table.remove(hooks, i)
         hooks.front = i <= front and front - 1 or front
-        owner[field] = hooks[1] and hooks or false
+        owner[field] = hooks[1] and hooks or nil
         return true
       end
     end

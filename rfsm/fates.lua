@@ -239,7 +239,7 @@ return function(core, engine)
     end
     for _, at in ipairs(machines) do
       local machine = at.machine
-      machine._fates = false
+      machine._fates = nil
       rfsm.path_hook_rm(machine, note_taken)
       rfsm.post_step_hook_rm(machine, end_iteration)
       rfsm.reset_hook_rm(machine, reset)

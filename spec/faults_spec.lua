@@ -278,7 +278,7 @@ describe("e_fault", function()
     local fsm = send(new({ [2] = trans { src = "work", tgt = "safe",
       events = { "e_error" } } }, { b = state { entry = fail } }), "e_b")
     assert.equal("root.work.b", at(fsm))
-    assert.is_false(fsm._watch_hooks)
+    assert.is_nil(fsm._watch_hooks)
     assert.is_nil(fsm._intq[1])
   end)
 

@@ -338,9 +338,10 @@ return rfsm.state { states = { a = rfsm.state {} },
   c = rfsm.conn { entry = function() end }, rfsm.trans { src = "a", tgt = "c" },
   rfsm.trans { src = "c", tgt = "b" },
 --W 6: root.c.entry: a connector has no entry, this one is ignored
-  _phase = 5, _pre_hooks = {}, _mine = 1,
+  _phase = 5, _pre_hooks = {}, _mine = 1, _source_hooks = 5,
 --W 1: root._phase: the machine has a field of this name, this one is ignored
 --W 1: root._pre_hooks: the machine has a field of this name, this one is ignored
+--W 1: root._source_hooks: the machine has a field of this name, this one is ignored
   rfsm.trans { src = "a", tgt = "b", events = { "e_after(soon)" } },
 --W T.events (a -> b): no loaded extension knows 'e_after(soon)' (require
     "rfsm_timeevent")

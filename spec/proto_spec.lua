@@ -239,7 +239,7 @@ describe("a subscription", function()
       local other = started(lamp())
       client:send { type = "subscribe", path = true, fsm = 2 }
       rfsm.step(fsm)
-      assert.is_false(fsm._path_hooks)
+      assert.is_nil(fsm._path_hooks)
       rfsm.step(other)
       client:lines(2)
       local asking = new_client(server)
@@ -253,7 +253,7 @@ describe("a subscription", function()
       assert.equal(1, #fsm._path_hooks) -- one is enough
       asking:send { type = "unsubscribe" }
       rfsm.step(fsm)
-      assert.is_false(fsm._path_hooks)
+      assert.is_nil(fsm._path_hooks)
     end)
 
   it("is served before the machine has been entered, or if it cannot be", function()
@@ -847,7 +847,7 @@ describe("uninstall", function()
       counts[i] = #(fsm[field] or {}) - #(init(lamp())[field] or {})
     end
     assert.same({ 0, 0, 0, 0 }, counts)
-    assert.is_false(fsm._watch_hooks.merged)
+    assert.is_nil(fsm._watch_hooks.merged)
   end)
 
   it("is not needed to close one port", function()

@@ -1445,7 +1445,7 @@ describe("a recorder", function()
     local recorder, fsm = recorded(sink)
     recorder:pause()
     assert.same({ 1, 1, false }, { #fsm._pre_hooks, #fsm._post_hooks,
-      fsm._reset_hooks })
+      fsm._reset_hooks or false })
     helper.post_and_run(fsm, "e_go")
     recorder:pause() -- again does no harm
     assert.equal(10, #sink)
