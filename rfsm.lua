@@ -128,8 +128,8 @@ do
   -- of class X. An element made by base:new{...} inherits from the element `base`.
   function define(class, name)
     local function mark(base, t, level)
-      if type(t) ~= "table" then
-        error("rfsm." .. name .. ": table expected, got " .. type(t), level + 1)
+      if type(t) ~= "table" or t == rfsm then
+        error("rfsm." .. name .. ": table expected, " .. rfsm.got(t), level + 1)
       end
       if rawget(t, "_parent") ~= nil and kind_of(t) then return t end -- in a machine
       rfsm.note_location(t, level + 1)
@@ -292,7 +292,7 @@ do
   ---@return fun(event: any): boolean predicate
   function rfsm.named(name)
     if type(name) ~= "string" then
-      error("rfsm.named: name of an event expected, got " .. type(name), 2)
+      error("rfsm.named: name of an event expected, " .. rfsm.got(name), 2)
     end
     local predicate = predicates[name]
     if not predicate then
@@ -508,7 +508,7 @@ end
 ---@nodiscard
 function rfsm.load(file, accepts)
   if type(file) ~= "string" then
-    error("rfsm.load: file name expected, got " .. type(file), 2)
+    error("rfsm.load: file name expected, " .. rfsm.got(file), 2)
   end
   if not loadfile then error("rfsm.load: there is no loadfile here", 2) end
   local chunk, problem = loadfile(file)
@@ -528,7 +528,7 @@ end
 ---@nodiscard
 function rfsm.load_str(text, chunkname)
   if type(text) ~= "string" then
-    error("rfsm.load_str: string expected, got " .. type(text), 2)
+    error("rfsm.load_str: string expected, " .. rfsm.got(text), 2)
   end
   if not loadstring then error("rfsm.load_str: there is no load here", 2) end
   local chunk, problem = loadstring(text, chunkname)
@@ -590,7 +590,8 @@ end
 ---@param value any
 ---@return string text
 function rfsm.got(value)
-  local kind = kind_of(value) or type(value)
+  local kind = rawequal(value, rfsm) and "the library (rfsm.f, not rfsm:f)"
+    or kind_of(value) or type(value)
   if kind == "string" then return "got string '" .. value .. "'" end
   if kind == "number" then return "got number " .. text_of(value) end
   return "got " .. kind

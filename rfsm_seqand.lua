@@ -51,12 +51,10 @@ local function has_regions(state)
   return is_state(state) and getmetatable(state.substates) == Substates
 end
 
--- Returns a list of names as a text, "a, b"; each name is in `quote` if that is given.
+-- Returns a list of names as a text, "a, b"; each name is in `quote`.
 local function list_text(names, quote)
   local texts = {}
-  for i, name in ipairs(names) do
-    texts[i] = (quote or "") .. text_of(name) .. (quote or "")
-  end
+  for i, name in ipairs(names) do texts[i] = quote .. text_of(name) .. quote end
   return concat(texts, ", ")
 end
 
@@ -153,7 +151,7 @@ local function advance(fsm, state, i)
   local regions, printer = state._regions, state.seqanddbg or state.andseqdbg
   if printer and not regions.is_shown then
     regions.is_shown = true
-    print_line(fsm, state, printer, "order " .. list_text(regions.names))
+    print_line(fsm, state, printer, "order " .. list_text(regions.names, ""))
   end
   local idle = try(fsm, state.run and run or step, regions[i], state.step)
   if printer then
@@ -431,17 +429,21 @@ local function obstacle(key, value)
   elseif rfsm.is_conn(value) or is_state(value) and RESERVED[key] then
     return text_of(key) .. ": cannot be a "
       .. (is_state(value) and "state" or "connector")
+  elseif type(key) == "number" and not rfsm.kind_of(value) then
+    return "[" .. text_of(key) .. "]: state expected, " .. got(value)
   end
 end
 
 -- Returns a state with the given fields; if a field is wrong, nil and the problem.
 local function new_state(fields)
-  if type(fields) ~= "table" then return nil, "table expected, got " .. type(fields) end
-  local state, regions, first = {}, setmetatable({}, Substates), nil
-  for _, key in ipairs(rfsm.sorted_keys(fields)) do -- the least text is returned
+  if type(fields) ~= "table" or fields == rfsm then
+    return nil, "table expected, " .. got(fields)
+  end
+  local state, regions = {}, setmetatable({}, Substates)
+  for _, key in ipairs(rfsm.sorted_keys(fields)) do
     local value = fields[key]
     local text = obstacle(key, value)
-    if text and (not first or text < first) then first = text end
+    if text then return nil, text end
     if rfsm.is_trans(value) then
       has_transitions[regions] = true
     elseif is_state(value) then
@@ -450,7 +452,6 @@ local function new_state(fields)
       state[key] = value
     end
   end
-  if first then return nil, first end
   local field, text = check_order(state.order, regions)
   if not field then field, text = check_advance(state) end
   if field then return nil, field .. ": " .. text end

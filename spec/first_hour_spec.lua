@@ -234,6 +234,17 @@ return state { a = state { entry = function() print "first" end }, b = state {},
   trans { src = "b", tgt = "a", events = { "e_x" } } }
 --C :1: warning: root: 'a' stands twice, the first one is lost (the second is in line
     2) [lost]
+== state_declared_twice_below
+-- events: e_x
+
+return state {
+  a = state { entry = function() print "first" end }, b = state {},
+  a = state {},
+  INITIAL,
+  trans { src = "a", tgt = "b", events = { "e_x" } },
+  trans { src = "b", tgt = "a", events = { "e_x" } } }
+--C :1: warning: root: 'a' stands twice, the first one is lost (the second is in line
+    4) [lost]
 == states_list
 -- events: e_go
 return state { initial = "a", states = { a = state {}, b = state {} },

@@ -250,7 +250,9 @@ local MISTAKES = [[
 --> 6: root.exit (a -> b): a transition cannot have this name, it is a field of every
     state
   rfsm.trans("a", "b"),
---> raises chart.lua:6: rfsm.trans: table expected, got string
+--> raises chart.lua:6: rfsm.trans: table expected, got string 'a'
+  c = rfsm:state {},
+--> raises chart.lua:6: rfsm.state: table expected, got the library (rfsm.f, not rfsm:f)
   c = rfsm.state { final = true },
 -->
   c = rfsm.state {},

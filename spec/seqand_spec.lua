@@ -147,6 +147,7 @@ describe("a wrong sequential AND state", function()
     { "entry: cannot be a state", { entry = state {} } },
     { "run: cannot be a state", { run = state {} } },
     { "k: cannot be a connector", { k = rfsm.conn {} } },
+    { "[1]: state expected, got function", { function() end } },
     { "doo: is the state's own, and cannot be set", -- the least text
       { state {}, doo = print, substates = {}, run = state {}, k = rfsm.conn {} } },
   } do
@@ -158,6 +159,8 @@ describe("a wrong sequential AND state", function()
 
   it("is refused without fields, and for an order without regions", function()
     assert.equal("rfsm.seqand: table expected, got nil", helper.refusal(seqand.new))
+    assert.equal("rfsm.seqand: table expected, got the library (rfsm.f, not rfsm:f)",
+      helper.refusal(seqand.new, rfsm))
     local _, text = pcall(function() return (seqand { order = { "up" } }) end)
     assert.matches("seqand_spec.lua:%d+: rfsm%.seqand: order%[1%]: name of a region "
       .. "expected, got string 'up' %(there are none%)$", text)

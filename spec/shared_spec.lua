@@ -492,6 +492,19 @@ describe("a message about a chart", function()
     end
   end)
 
+  it("has what is meant most often by a mistake of syntax", function()
+    local comma = " (is a comma missing in front of it?)"
+    local word = ' (one too many? the name of a state is written ["end"])'
+    for text, hint in pairs { -- any order: each stands alone
+      ["'}' expected (to close '{' at line 1) near 'b'"] = comma,
+      ["'}' expected near 'rfsm'"] = comma, ["'}' expected near '='"] = "",
+      ["unexpected symbol near 'end'"] = word, ["'}' expected near 'end'"] = word,
+    } do
+      text = "a.lua:2: " .. text
+      assert.equal(text .. hint, chart.reason("a.lua", text))
+    end
+  end)
+
   it("has the type of a failure that is no text", function()
     assert.equal("a.lua: failed with a table", chart.reason("a.lua", {}))
     assert.equal("a.lua: failed without a message", chart.reason("a.lua", nil))

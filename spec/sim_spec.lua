@@ -845,6 +845,7 @@ no transition would be taken on e_b in root.b
     local saved = snapshot_file.read(file)
     assert.same({ machine = "m:{0}:1", chart = "c", revision = 5 }, saved.fleet)
     assert.same({ root = { "%t", "n", 7 } }, saved.data)
+    assert.equal("state root", saved.structure[1]) -- for a chart that has changed
     helper.write(file, helper.content(file):sub(1, 50))
     out, complaints, status = sim("-q --from " .. file .. " " .. chart)
     assert.same({ "", 2 }, { out, status })

@@ -185,16 +185,12 @@ local function each_shape(event, f)
   end
 end
 
-local function is_name(event)
-  return type(event) == "string" and not event:find("[@%(,]")
-end
-
 -- Returns a list of the names of events, and a table name -> transitions that use it.
 local function usage_of(fsm)
   local list, users = {}, {}
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
     for _, event in ipairs(tr.events or {}) do
-      if is_name(event) then
+      if type(event) == "string" and not event:find("[@%(,]") then
         if not users[event] then list[#list + 1], users[event] = event, {} end
         table.insert(users[event], tr)
       end

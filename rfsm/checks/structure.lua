@@ -225,8 +225,9 @@ end
 -- Finds a value of `read` that is nearly one of those that count.
 local function check_read(fsm, add)
   local value = fsm.read
-  if type(value) ~= "string" or is_read(value) then return end
-  if advice.is_near(value, "one") or advice.is_near(value, "all") then
+  local is_meant = value == true or value == 1 or type(value) == "string"
+    and (advice.is_near(value, "one") or advice.is_near(value, "all"))
+  if is_meant and not is_read(value) then
     add("unknown-field", fsm, "read: 'one' or 'all' expected, " .. rfsm.got(value))
   end
 end

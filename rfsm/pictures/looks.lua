@@ -52,10 +52,6 @@ function looks.id_of(text)
   return "id=" .. quoted(diagram.clean(text))
 end
 
---- Return the value of the attribute `id` of an element as Graphviz prints it: without
--- quotes.
-function looks.plain_id(text) return looks.id_of(text):sub(5, -2) end
-
 local function lines_of(text, width)
   return concat(diagram.wrap({ text }, width), "\n")
 end

@@ -50,9 +50,16 @@ function chart.first_line(failure)
   return ((text:match("[^\n]+") or text):gsub(":%s*$", ""))
 end
 
--- Returns a hint if an error text is about the call of a function that the library does
--- not have; otherwise the empty text.
+-- Mistakes of syntax, and what is meant most often.
+local SYNTAX = {
+  { "near 'end'$", " (one too many? the name of a state is written [\"end\"])" },
+  { "'}' expected.* near '[%a_]", " (is a comma missing in front of it?)" },
+}
+
+-- Returns a hint if an error text is about a mistake of syntax, or about the call of a
+-- function that the library does not have; otherwise the empty text.
 local function hint_for(text)
+  for _, case in ipairs(SYNTAX) do if text:find(case[1]) then return case[2] end end
   local name = text:match("call a nil value %(field '(.-)'%)$")
     or text:match("call field '(.-)' %(a nil value%)$")
   if not name or rfsm[name] ~= nil then return "" end
@@ -117,12 +124,6 @@ local function warning_of(name, reader)
       or " (nil while the chart is loaded)")
 end
 
--- Returns a stub for an undefined global; nil if the code tests if it exists.
-local function stub_for(world, name, reader)
-  local is_wanted = world.insists or warning_of(name, reader)
-  return is_wanted and search.stub(world, name) or nil
-end
-
 -- Returns a function for `__index` of _G, called if the chart reads an undefined
 -- global. A name such as e_go is an event whose quotes were forgotten: it gets no stub.
 local function new_index(world, warnings)
@@ -138,7 +139,8 @@ local function new_index(world, warnings)
     local reader = type(name) == "string" and getinfo(2, "Sl")
     if not reader or search.world_of(reader.source) ~= world then return nil end
     if world.has_stubs and not name:find("^e_") then
-      return stub_for(world, name, reader)
+      local is_wanted = world.insists or warning_of(name, reader) -- no test for it
+      return is_wanted and search.stub(world, name) or nil
     end
     note(name, reader)
   end

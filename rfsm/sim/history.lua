@@ -35,17 +35,15 @@ local function about(sim, snap)
     leaf = leaf and tracks.leaf_text(leaf, is_done) or "<none>" }
 end
 
-local function set_time(sim, place)
-  local now = sim.time and sim.time.passed or {}
-  now.sec, now.nsec = place.sec, place.nsec
-end
-
 --- Begin a history. If a recording is on, a new run begins in its file.
 function history.start(sim)
   sim.came = {}
   sim.history = rewind.new(sim.fsm, { bytes = history.BYTES,
     about = function(snap) return about(sim, snap) end,
-    prepare = function(place) set_time(sim, place) end })
+    prepare = function(place)
+      local now = sim.time and sim.time.passed or {}
+      now.sec, now.nsec = place.sec, place.nsec
+    end })
   if not sim.recorder then return end
   sim.recorder:stop()
   sim.recorder = record.record(sim.fsm, sim.recorder.name)
@@ -176,7 +174,7 @@ end
 --- Write the machine into a file, which `history.from` and `rfsm fleet` read. Timers go
 -- on from the moment at which it is put into a fleet.
 function history.keep(sim, name)
-  local snap = snapshot.take(sim.fsm)
+  local snap = snapshot.take(sim.fsm, { structure = true })
   snap.fleet = sim.fleet
   local ok, problem = files_of.write(name, snap)
   if not ok then error("save: " .. problem, 0) end
