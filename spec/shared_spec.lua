@@ -500,8 +500,8 @@ describe("a message about a chart", function()
       ["'}' expected near 'rfsm'"] = comma, ["'}' expected near '='"] = "",
       ["unexpected symbol near 'end'"] = word, ["'}' expected near 'end'"] = word,
     } do
-      text = "a.lua:2: " .. text
-      assert.equal(text .. hint, chart.reason("a.lua", text))
+      local problem = "a.lua:2: " .. text
+      assert.equal(problem .. hint, chart.reason("a.lua", problem))
     end
   end)
 
