@@ -128,7 +128,7 @@ do
   -- of class X. An element made by base:new{...} inherits from the element `base`.
   function define(class, name)
     local function mark(base, t, level)
-      if type(t) ~= "table" or t == rfsm then
+      if type(t) ~= "table" or rawequal(t, rfsm) then
         error("rfsm." .. name .. ": table expected, " .. rfsm.got(t), level + 1)
       end
       if rawget(t, "_parent") ~= nil and kind_of(t) then return t end -- in a machine

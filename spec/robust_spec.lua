@@ -133,6 +133,11 @@ describe("a value with an __eq that lies", function()
     assert.is_true(rawequal(y, helper.init(model).mine))
   end)
 
+  it("is a table that is marked", function()
+    assert.is_true(rfsm.is_state(rfsm.state(liar())))
+    assert.is_true(rfsm.is_conn(rfsm.conn(liar())))
+  end)
+
   it("is each state of another library", function()
     local Other = { rfsm = true, __eq = Liar.__eq, __index = {
       type = function() return "state" end,
@@ -142,6 +147,17 @@ describe("a value with an __eq that lies", function()
       trans { src = "initial", tgt = "x" } }, trans { src = "initial", tgt = "m" } })
     assert.equal("root.m.x", rfsm.get_actleaf_fqn(fsm))
   end)
+end)
+
+it("a field of the engine is never one of the model", function()
+  local names = {}
+  local text = helper.content("rfsm.lua")
+  for name in text:gmatch("%f[%w_]fsm%.(_%l[%w_]*)") do names[name] = true end
+  for name in text:gmatch('list = "(_%l+_hooks)"') do names[name] = true end
+  for name in pairs(names) do -- any order: each stands alone
+    local fsm = helper.init(new_model { [name] = 5 })
+    assert.not_equal(5, fsm[name], name)
+  end
 end)
 
 describe("an event that equals no event, NaN,", function()

@@ -113,6 +113,11 @@ describe("rfsm.seqand", function()
     assert.is_table(fields.left)
   end)
 
+  it("asks no __eq of the table it is given", function()
+    local class = { __eq = function() error("compared") end }
+    assert.is_true(rfsm.is_state(rfsm.seqand(setmetatable({}, class))))
+  end)
+
   it("may be the root of a machine", function()
     local fsm = started(two({}, { warn = false, info = false }))
     run(fsm, "e_x")
