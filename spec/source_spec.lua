@@ -153,6 +153,9 @@ local CASES = {
   { name = "a function of the library as a method", lines = {
     "wrong-call: root.b: a machine has no method 'run' (rfsm.run(m, ...))" },
     state = "entry = function(m) m:run() end" },
+  { name = "one that is loaded when it is used, as a method", lines = {
+    "wrong-call: root.b: a machine has no method 'is_in' (rfsm.is_in(m, ...))" },
+    state = "entry = function(m) m:is_in('root.a') end" },
   { name = "no method of another object, and no call of another machine", lines = {},
     state = "entry = function(m) local o = m.other o:run() rfsm.run(o) m:own() end" },
   { name = "a callback that was called while the chart was loaded",

@@ -257,10 +257,10 @@ end
 local function problem_of_method(node, fsm, machine)
   local name = node[2][1]
   local is_machine = fsm and is_name(node[1], fsm)
-  local is_function = type(rfsm[name]) == "function"
+  local is_function = is_machine and type(rfsm[name]) == "function"
   if is_machine and name == "emit" then
     return ("emit gets the event first (%s.emit(...), with a dot)"):format(fsm)
-  elseif is_machine and is_function and machine[name] == nil then
+  elseif is_function and machine[name] == nil then
     return ("a machine has no method '%s' (rfsm.%s(%s, ...))"):format(name, name, fsm)
   end
 end

@@ -6,6 +6,7 @@
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local alphabet = require "rfsm.shared.alphabet"
+local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
 
@@ -58,17 +59,15 @@ local CALLBACKS = { "entry", "exit", "doo", "guard", "effect" }
 
 -- Has a state, an element in it, or a transition from these a callback?
 local function has_callback(fsm, state)
-  local prefix = state._fqn .. "."
   return order.any(rfsm.elements(fsm, rfsm.is_fsmobj), function(element)
-    local node = rfsm.is_trans(element) and element.src or element
-    return (node._fqn .. "."):sub(1, #prefix) == prefix
+    return location.is_inside(rfsm.is_trans(element) and element.src or element, state)
       and order.any(CALLBACKS, function(field) return element[field] end)
   end)
 end
 
 -- Finds events e_fault that never come, because there is no callback that could fail.
 local function check_e_fault(fsm, tr, add)
-  for _, event in ipairs(tr.src._names_fault and tr.events or {}) do
+  for _, event in ipairs(tr.events or {}) do
     local name = rfsm.event_name(event)
     if name == "e_fault@" .. tr.src._fqn and not has_callback(fsm, tr.src) then
       add("idle-reaction", tr, ("'%s' never comes, '%s' has no callback"):format(name,
