@@ -208,12 +208,14 @@ end
 --- Return the seconds until the next timer of a machine can fire.
 -- @raise on an interrupt (Control-C)
 ---@return number? seconds nil if no timer is armed, or if the clock fails
+---@return any failure of the clock
 function clock.until_timer(fsm)
   local timeevent = rawget(_G, "package").loaded.rfsm_timeevent
   if not timeevent then return nil end
   local ok, seconds = pcall(timeevent.next_deadline, fsm)
   if rfsm.is_interrupt(seconds) then error(seconds, 0) end
-  return ok and seconds or nil
+  if not ok then return nil, seconds end
+  return seconds
 end
 
 -- A simulated clock is made by a file of its own: a robot needs none.

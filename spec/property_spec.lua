@@ -273,6 +273,19 @@ describe("a machine that is watched", function()
     assert.is_nil(share.problem(watching, 30, true))
   end)
 
+  it("may do what it owes if its clock fails: a timer may be armed", function()
+    local is_broken = false
+    start({ gettime = function()
+      if is_broken then error("no time") end
+      return 0, 0
+    end, c = state {}, [4] = go("a", "c", "e_c"), [5] = go("c", "b", "e_after(9)") },
+      { p = after "e_c".leads_to "root.b" })
+    send("e_c")
+    is_broken = true
+    rfsm.run(fsm)
+    assert.is_nil(table.concat(told, "\n"):match("property.*"))
+  end)
+
   it("misses no step that an interrupt cuts short in its own hook", function()
     assert.is_nil(share.problem(require "spec.support.claims.watched_cuts", 30, true))
   end)
