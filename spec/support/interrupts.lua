@@ -8,6 +8,14 @@ local interrupts = {}
 --- What is raised: the text of the interpreters, a host's text, any other value.
 interrupts.VALUES = { "interrupted!", "time is up", {} }
 
+--- Is a failure one of these values?
+function interrupts.is_known(failure)
+  for _, value in ipairs(interrupts.VALUES) do
+    if rawequal(failure, value) then return true end
+  end
+  return false
+end
+
 -- Calls f(...); not in a tail call, so that it is found on the stack.
 local function drive(f, ...)
   f(...)

@@ -21,13 +21,6 @@ local function place_of(fsm)
   return table.concat(texts, ", ")
 end
 
-local function is_known(failure)
-  for _, value in ipairs(interrupts.VALUES) do
-    if rawequal(failure, value) then return true end
-  end
-  return false
-end
-
 -- Returns a function that calls another one, and raises an error in it by chance. What
 -- was raised in a printer may reach the caller of a later step.
 local function interrupting(random, count, values)
@@ -36,7 +29,7 @@ local function interrupting(random, count, values)
     local _, is_raised, ok, failure = interrupts.raise_anywhere(at,
       random:pick(values), f, ...)
     if is_raised then count.raised = count.raised + 1 end
-    if not ok and not is_known(failure) then error(failure, 0) end
+    if not ok and not interrupts.is_known(failure) then error(failure, 0) end
     if is_raised and random:chance(40) then rfsm.reset((...)) end
   end
 end

@@ -44,43 +44,27 @@ local function arm(fsm, random, cut)
   end, "", 1 + random(5))
 end
 
-local function is_known(failure)
-  for _, value in ipairs(interrupts.VALUES) do
-    if rawequal(failure, value) then return true end
-  end
-  return false
-end
-
 -- Steps a machine. With `cut`, it is interrupted by chance, then stepped again.
 local function step(fsm, cut)
   if cut and cut.random:chance(60) then arm(fsm, cut.random, cut) end
   local ok, failure = pcall(rfsm.step, fsm)
   debug.sethook()
   if ok then return end
-  if not (cut and is_known(failure)) then error(failure, 0) end
+  if not (cut and interrupts.is_known(failure)) then error(failure, 0) end
   if fsm._phase ~= "idle" then step(fsm) end
 end
 
 -- Returns the trace of a random run with the reports of the watch.
 local function trace_of(chart, properties, seed, cut)
-  local trace, random, now = {}, new_random(seed + 37), 0
+  local trace, random = {}, new_random(seed + 37)
   local make = watching.noting(trace, random)
   local fsm = rfsm.init(charts.model_of(chart, make, ""))
-  fsm.gettime = function() return now, 0 end
   fsm.err = function(text)
     if cut and trace[#trace] == text then return end
     trace[#trace + 1] = tostring(text)
   end
   rfsm_checks.watch_properties(fsm, properties)
-  for _ = 1, STEPS do
-    for _ = 1, random(3) - 1 do
-      rfsm.send_events(fsm, chart.events[random(#chart.events)])
-    end
-    step(fsm, cut)
-    now = now + random(2) - 1
-    for _, text in ipairs(charts.stands_of(fsm, {})) do trace[#trace + 1] = text end
-    if random(9) == 1 then rfsm.reset(fsm) end
-  end
+  watching.drive(fsm, chart, random, trace, STEPS, function() step(fsm, cut) end)
   return trace
 end
 

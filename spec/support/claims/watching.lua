@@ -57,25 +57,34 @@ function claim.note_records(fsm, seed, trace)
   end
 end
 
+--- Drives a machine at random for a number of steps: sends events, calls `step`, lets
+--- time pass, notes where the machine is, and resets it now and then.
+function claim.drive(fsm, chart, random, trace, steps, step)
+  local now = 0
+  fsm.gettime = function() return now, 0 end
+  for _ = 1, steps do
+    for _ = 1, random(3) - 1 do
+      rfsm.send_events(fsm, chart.events[random(#chart.events)])
+    end
+    step()
+    now = now + random(2) - 1
+    for _, text in ipairs(charts.stands_of(fsm, {})) do trace[#trace + 1] = text end
+    if random(9) == 1 then rfsm.reset(fsm) end
+  end
+end
+
 -- Returns the trace of a random run of a chart; `watch` is called with the machine.
 local function trace_of(chart, seed, watch)
-  local trace, random, now = {}, new_random(seed + 37), 0
+  local trace, random = {}, new_random(seed + 37)
   local fsm = rfsm.init(charts.model_of(chart, claim.noting(trace, random), ""))
-  fsm.gettime = function() return now, 0 end
   fsm.err = function(text)
     if not tostring(text):find("^property '") then trace[#trace + 1] = text end
   end
   claim.note_records(fsm, seed, trace)
   watch(fsm)
-  for _ = 1, claim.steps do
-    for _ = 1, random(3) - 1 do
-      rfsm.send_events(fsm, chart.events[random(#chart.events)])
-    end
+  claim.drive(fsm, chart, random, trace, claim.steps, function()
     rfsm.step(fsm, random(2))
-    now = now + random(2) - 1
-    for _, text in ipairs(charts.stands_of(fsm, {})) do trace[#trace + 1] = text end
-    if random(9) == 1 then rfsm.reset(fsm) end
-  end
+  end)
   return table.concat(trace, "\n")
 end
 
