@@ -17,6 +17,7 @@ local calls = require "rfsm.shared.calls"
 local clock = require "rfsm.clock"
 local journal = require "rfsm.record.journal"
 local encoding = require "rfsm.snapshot.encoding"
+local opts = require "rfsm.shared.options"
 local replay = require "rfsm.record.replay"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
@@ -350,6 +351,8 @@ end
 
 -- Public functions ------------------------------------------------------------
 
+local SINKS = { table = true, ["function"] = true, userdata = true, string = true }
+
 --- Record a machine from now on.
 --
 -- The sink is a list to which records are appended, a function that is called with each
@@ -365,6 +368,10 @@ end
 ---@return rfsm.record.Recorder recorder
 function record.record(fsm, sink)
   rfsm.check_between_steps(fsm, "rfsm.record.record")
+  if not SINKS[type(sink)] then
+    error("rfsm.record.record: list, function, file or its name expected, "
+      .. opts.got(sink), 2)
+  end
   local header = { record = record.VERSION }
   local recorder = setmetatable({ fsm = fsm, count = 0, tracks = {} }, Recorder)
   recorder:go_on()
@@ -431,6 +438,19 @@ local function result_of(session, model)
   return session.fsm, session.unsaved
 end
 
+local boolean = { "boolean", opts.is_a "boolean" }
+local callable = { "function", rfsm.is_callable }
+
+local OPTIONS = { to = opts.whole(0), dry = boolean, migrate = boolean,
+  guards = boolean, each = callable, watch = callable }
+local OPTIONS_OF_SPEC = { chart = { "file name", opts.is_text }, dry = boolean }
+
+-- Returns the options of a public function, which an error names.
+local function read_options(where, known, options)
+  local settings, problem = opts.read(known, options or {})
+  return settings or error(where .. ": " .. problem, 3)
+end
+
 --- How a recording is replayed.
 ---@class rfsm.record.Options
 ---@field to? integer stop after that many iterations
@@ -458,9 +478,10 @@ function record.replay(model, recording, options)
     error("rfsm.record.replay: state expected, got " .. type(model), 2)
   end
   model = rfsm.model_of(model)
+  options = read_options("rfsm.record.replay", OPTIONS, options)
   local header, next_record = open(recording)
   if not header then return false, next_record end
-  local session = replay(model, header, next_record, options or {})
+  local session = replay(model, header, next_record, options)
   if session.problem then
     return false, session.problem, session.fsm and session.at
   end
@@ -478,6 +499,7 @@ end
 -- `has_end`: the recorder was stopped, and no line is missing
 ---@nodiscard
 function record.read(file, run)
+  opts.check_file("rfsm.record.read", file)
   local recording, about = reading(file, journal.read, file, run)
   return recording, about
 end
@@ -492,6 +514,7 @@ end
 -- the end is reached
 ---@nodiscard
 function record.open(file, run)
+  opts.check_file("rfsm.record.open", file)
   local header, next_record, about = reading(file, journal.reader, file, run)
   return header, function() return (reading(file, next_record)) end, about
 end
@@ -525,7 +548,7 @@ end)
 ---@return string text
 ---@nodiscard
 function record.to_spec(recording, options)
-  options = options or {}
+  options = read_options("rfsm.record.to_spec", OPTIONS_OF_SPEC, options)
   local header, next_record = open(recording)
   if not header then error(next_record, 0) end
   local chart, texts, mark = options.chart or header.file, {}, "="

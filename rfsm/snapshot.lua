@@ -529,6 +529,36 @@ local function put(fsm, snap, options, may_reset)
   end
 end
 
+local is_boolean, is_table = opts.is_a "boolean", opts.is_a "table"
+
+local function is_renaming(x)
+  if not is_table(x) then return false end
+  for old, new in each(x) do -- any order: all are checked
+    if type(old) ~= "string" or type(new) ~= "string" then return false end
+  end
+  return true
+end
+
+local OPTIONS = {
+  entries = { "boolean", is_boolean },
+  migrate = { "function", rfsm.is_callable },
+  old = { "model or list of lines", is_table },
+  rename = { "table of old and new FQN", is_renaming },
+  trusted = { "boolean", is_boolean },
+}
+
+local OPTIONS_OF_TAKE = { structure = { "boolean", is_boolean } }
+
+-- Returns the options of a public function, unchecked if the snapshot is trusted. A
+-- number counts as no options: in put(fsm, decode(text)), a decoder may return it, too.
+local function read_options(options, where, known)
+  if type(options) == "table" and options.trusted then return options end
+  if options == nil or type(options) == "number" then return NONE end
+  local settings, problem = opts.read(known or OPTIONS, options)
+  if not settings then error(where .. ": " .. problem, 3) end
+  return options
+end
+
 -- Public functions ------------------------------------------------------------
 
 --- Return a machine as a plain table.
@@ -544,9 +574,10 @@ end
 ---@nodiscard
 function snapshot.take(fsm, options)
   rfsm.check_between_steps(fsm, "rfsm.snapshot.take")
+  options = read_options(options, "rfsm.snapshot.take", OPTIONS_OF_TAKE)
   local ok, snap = try(take, fsm)
   if not ok then error("rfsm.snapshot.take: " .. reason(snap), 2) end
-  if options and options.structure then snap.structure = shape.lines_of(fsm) end
+  if options.structure then snap.structure = shape.lines_of(fsm) end
   return snap
 end
 
@@ -575,34 +606,6 @@ function snapshot.encode(snap) return exact_json.encode(snap) end
 ---@field old? rfsm.State|string[] the chart of the snapshot, or its structure
 ---@field trusted? boolean the caller promises that the snapshot is as `take` made it.
 --- This makes `put` faster. A wrong snapshot may then reset or partly change a machine.
-
-local is_boolean, is_table = opts.is_a "boolean", opts.is_a "table"
-
-local function is_renaming(x)
-  if not is_table(x) then return false end
-  for old, new in each(x) do -- any order: all are checked
-    if type(old) ~= "string" or type(new) ~= "string" then return false end
-  end
-  return true
-end
-
-local OPTIONS = {
-  entries = { "boolean", is_boolean },
-  migrate = { "function", rfsm.is_callable },
-  old = { "model or list of lines", is_table },
-  rename = { "table of old and new FQN", is_renaming },
-  trusted = { "boolean", is_boolean },
-}
-
--- Returns the options of a public function, unchecked if the snapshot is trusted. A
--- number counts as no options: in put(fsm, decode(text)), a decoder may return it, too.
-local function read_options(options, where)
-  if type(options) == "table" and options.trusted then return options end
-  if options == nil or type(options) == "number" then return NONE end
-  local settings, problem = opts.read(OPTIONS, options)
-  if not settings then error(where .. ": " .. problem, 3) end
-  return options
-end
 
 local function try_put(fsm, snap, options, may_reset)
   local ok, failure = true, false
@@ -672,6 +675,7 @@ local function in_files() return opts.need("rfsm.snapshot", "rfsm.snapshot.file"
 ---@return string? problem the file cannot be written; it is as it was
 function snapshot.save(fsm, file)
   rfsm.check_between_steps(fsm, "rfsm.snapshot.save")
+  opts.check_file("rfsm.snapshot.save", file)
   local ok, snap = try(take, fsm)
   if not ok then error("rfsm.snapshot.save: " .. reason(snap), 2) end
   local is_written, problem = in_files().write(file, snap)
@@ -691,6 +695,7 @@ function snapshot.load(model, file, options)
   if not rfsm.is_state(model) then
     error("rfsm.snapshot.load: state expected, got " .. type(model), 2)
   end
+  opts.check_file("rfsm.snapshot.load", file)
   local snap, problem = in_files().read(file)
   if not snap then return false, "rfsm.snapshot: " .. problem end
   snap.fleet = nil -- of which machine in a fleet it is

@@ -13,6 +13,7 @@ local rfsm = require "rfsm"
 local calls = require "rfsm.shared.calls"
 local description = require "rfsm.system.description"
 local match = require "rfsm.shared.match"
+local opts = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
 local search = require "rfsm.shared.search"
 local wires = require "rfsm.system.wires"
@@ -259,9 +260,7 @@ end
 ---@return rfsm.State|rfsm.System loaded
 ---@nodiscard
 function system.load(file)
-  if type(file) ~= "string" then
-    error("rfsm.system.load: file name expected, got " .. type(file), 2)
-  end
+  opts.check_file("rfsm.system.load", file)
   local path = beside(file, calling_file())
   loading[#loading + 1] = path
   local ok, value = pcall(rfsm.load, path, system.is_system)

@@ -1555,6 +1555,37 @@ describe("a recorder", function()
     assert.equal(1, #fsm._pre_hooks)
   end)
 
+  it("refuses a sink that is none, and leaves the machine alone", function()
+    local fsm = helper.init(worker({}, yes))
+    assert.equal("rfsm.record.record: list, function, file or its name expected, "
+      .. "got nil", helper.refusal(record.record, fsm))
+    assert.equal("rfsm.record.record: list, function, file or its name expected, "
+      .. "got 1", helper.refusal(record.record, fsm, 1))
+    assert.equal(1, #fsm._pre_hooks)
+    rfsm.run(fsm)
+  end)
+
+  it("refuses options that are none, which would call callbacks", function()
+    local sink = {}
+    record.record(helper.init(worker({}, yes)), sink)
+    for expected, options in pairs { -- any order: each stands alone
+      ["unknown option 'dri' (did you mean 'dry'?), expected: dry, each, guards, "
+        .. "migrate, to, watch"] = { dri = true },
+      ["to: whole number from 0 on expected, got string '3'"] = { to = "3" },
+      ["each: function expected, got boolean"] = { each = true },
+      ["table of options expected, got boolean"] = true,
+    } do
+      assert.equal("rfsm.record.replay: " .. expected,
+        helper.refusal(record.replay, worker({}, yes), sink, options))
+    end
+    assert.equal("rfsm.record.to_spec: unknown option 'chrt' (did you mean 'chart'?), "
+      .. "expected: chart, dry", helper.refusal(record.to_spec, sink, { chrt = "x" }))
+    assert.equal("rfsm.record.read: file name expected, got nil",
+      helper.refusal(record.read))
+    assert.equal("rfsm.record.open: file name expected, got 7",
+      helper.refusal(record.open, 7))
+  end)
+
   it("reads the machine's own clock for its first snapshot", function()
     local fsm, sink = helper.init(state { info = false, warn = false,
       gettime = function() return 42, 0 end, a = state {}, b = state {},

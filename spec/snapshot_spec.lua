@@ -582,6 +582,13 @@ describe("a file of a snapshot", function()
       { snapshot.load(lamp(), "/nowhere/m.json") })
     assert.equal("rfsm.snapshot.load: state expected, got nil",
       helper.refusal(snapshot.load, nil, "m"))
+    assert.equal("rfsm.snapshot.load: file name expected, got nil",
+      helper.refusal(snapshot.load, lamp()))
+    assert.equal("rfsm.snapshot.save: file name expected, got boolean",
+      helper.refusal(snapshot.save, fsm, true))
+    assert.equal("rfsm.snapshot.take: unknown option 'strcture' (did you mean "
+      .. "'structure'?), expected: structure",
+      helper.refusal(snapshot.take, fsm, { strcture = true }))
     fsm.on.count = print
     local file = helper.file_with("old")
     assert.equal("rfsm.snapshot.save: root.on.count: a function cannot be saved",

@@ -268,6 +268,19 @@ describe("those who watch", function()
     assert.same(rfsm.get_active_conf(fsm), rfsm.get_active_conf(other))
   end)
 
+  it("take 20,000 events in one step", function()
+    local fsm, events = helper.started(chart()), {}
+    local view = LocalView.new(fsm, function() return 0 end)
+    view:observe(true)
+    record.record(fsm, {})
+    for _ = 1, 20000 do rfsm.send_events(fsm, "e_other") end
+    helper.post_and_run(fsm, "e_b")
+    for _, entry in ipairs(view.log) do
+      events[#events + 1] = entry.events and #entry.events or nil
+    end
+    assert.equal(20001, events[#events])
+  end)
+
   it("have the transition that is taken, of two with the same text", function()
     local fsm = helper.started(chart())
     local view = LocalView.new(fsm, function() return 0 end)

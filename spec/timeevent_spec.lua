@@ -1296,6 +1296,8 @@ describe("a simulated clock", function()
     { call = function(f) return helper.refusal(f.advance, f, 0 / 0) end,
       problem = "rfsm.clock.advance: finite number of seconds expected, "
         .. "got number nan" },
+    { call = function(f) return helper.refusal(f.advance, f) end,
+      problem = "rfsm.clock.advance: finite number of seconds expected, got nil" },
     { call = function(f) return helper.refusal(f.advance, 5) end,
       problem = "rfsm.clock.advance: simulated clock expected, got number 5" },
     { call = function(f) return helper.refusal(f.now) end,

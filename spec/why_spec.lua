@@ -161,6 +161,13 @@ describe("why", function()
     assert.same({ "e_x", any = false }, (rfsm_checks.enabled(fsm)))
   end)
 
+  it("explains a queue of any length", function()
+    local fsm = machine()
+    for _ = 1, 20000 do rfsm.send_events(fsm, "e_other") end
+    rfsm.send_events(fsm, "e_b")
+    assert.equal("root.trans[2] (a -> b)", (rfsm_checks.why(fsm)).fires)
+  end)
+
   it("blames the caller for what is no machine", function()
     local _, text = pcall(function() rfsm_checks.why(state {}, "e") end)
     assert.matches("why_spec.lua:%d+: rfsm_checks.why: initialised fsm expected", text)

@@ -14,11 +14,13 @@ return function(clock, Clock)
   -- Adds seconds to a simulated clock. If `self` is no such clock, or the seconds are
   -- no finite number, raises an error at the caller of the method `where`.
   local function add(self, where, seconds)
-    local is_clock = rawequal(getmetatable(self), Clock)
-    if not is_clock or type(seconds) ~= "number" or seconds - seconds ~= 0 then
-      error(("rfsm.clock.%s: %s expected, %s"):format(where,
-        is_clock and "finite number of seconds" or "simulated clock",
-        rfsm.got(is_clock and seconds or self)), 3)
+    local expected, got = "simulated clock", self
+    if rawequal(getmetatable(self), Clock) then
+      expected, got = "finite number of seconds", seconds
+    end
+    if rawequal(got, self) or type(got) ~= "number" or got - got ~= 0 then
+      error(("rfsm.clock.%s: %s expected, %s"):format(where, expected,
+        rfsm.got(got)), 3)
     end
     local whole = floor(seconds)
     local nsec = self.nsec + floor((seconds - whole) * 1e9 + 0.5)

@@ -33,12 +33,11 @@ local static = require "rfsm.checks.static"
 local replacements = require "rfsm.explore.replacements"
 
 local error, ipairs, pcall = error, ipairs, pcall
-local rawequal, rawget, setmetatable = rawequal, rawget, setmetatable
+local rawequal, setmetatable = rawequal, setmetatable
 local tonumber, type = tonumber, type
 local concat, insert, remove, sort =
   table.concat, table.insert, table.remove, table.sort
 local max, min = math.max, math.min
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local subject = {}
 
@@ -618,7 +617,7 @@ local function put_position(part, position)
   if rawequal(fsm._act_leaf, leaf) and mode == position.mode and not part.kept then
     for i = 1, max(#queue, #waiting) do queue[i] = waiting[i] end
   else
-    rfsm.place(fsm, leaf, position.mode, { unpack(waiting) })
+    rfsm.place(fsm, leaf, position.mode, match.joined({}, waiting))
     if part.kept then kept.put(part.kept, fsm, position.kept) end
   end
 end

@@ -17,7 +17,6 @@ local ipairs, rawequal, rawget = ipairs, rawequal, rawget
 local select, setmetatable, type = select, setmetatable, type
 local getinfo = (rawget(_G, "debug") or {}).getinfo
 local concat = table.concat
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local is_conn, text_of = rfsm.is_conn, rfsm.text_of
 
 local why = {}
@@ -273,7 +272,7 @@ end
 ---@return string text the answers as text
 function why.why(fsm, ...)
   rfsm.check_machine(fsm, "rfsm_checks.why")
-  local events = select("#", ...) == 0 and { unpack(fsm._intq) } or {}
+  local events = select("#", ...) == 0 and match.joined({}, fsm._intq) or {}
   for i = 1, select("#", ...) do
     events[#events + 1] = (select(i, ...)) -- nil is left out
   end

@@ -664,12 +664,9 @@ function diagram.exporter(name, global, draw)
 
   function exporter.save(fsm, file, options)
     local chart = diagram.read(fsm, name .. ".save", options)
-    local where = name .. ".save: "
-    if type(file) ~= "string" then
-      error(where .. "file name expected, got " .. type(file), 2)
-    end
+    opts.check_file(name .. ".save", file)
     local ok, problem = files.write(file, text_of(chart))
-    if not ok then error(where .. problem, 2) end
+    if not ok then error(name .. ".save: " .. problem, 2) end
   end
 
   if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, global, exporter) end

@@ -15,9 +15,8 @@ local migrate = require "rfsm.snapshot.migrate"
 local tracks = require "rfsm.record.track"
 
 local error, ipairs, pcall = error, ipairs, pcall
-local rawequal, rawget, tostring, type = rawequal, rawget, tostring, type
+local rawequal, tostring, type = rawequal, tostring, type
 local huge, min, remove = math.huge, math.min, table.remove
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local reason, text_of = encoding.reason, rfsm.text_of
 local list_text, leaf_text, same = tracks.list_text, tracks.leaf_text, tracks.same
 
@@ -104,7 +103,7 @@ local function wind(session)
   local rec = session.ahead or {}
   local list = rec.clock
   if rec.from then list = session.tracks[1].is_put and rec.from.early end
-  session.readings = { unpack(list or {}) }
+  session.readings = match.joined({}, list or {})
 end
 
 -- Reads the next record. A damaged recording is replayed up to the damage.
@@ -154,7 +153,7 @@ local function begin(session, track)
   track.rec, track.guard_at = rec, 0
   if rec.had then snapshot.put_data(track.fsm, rec.had) end
   if track.m ~= nil then return end
-  if rec.from then session.readings = { unpack(rec.clock or {}) } end
+  if rec.from then session.readings = match.joined({}, rec.clock or {}) end
   hand_out(session, rec.inner or {})
 end
 
@@ -374,7 +373,7 @@ local function itself(snap) return snap end
 
 -- Puts a machine into the snapshot with which a recording, or a part of it, begins.
 local function put(session, fsm, from)
-  session.readings = { unpack(from.clock or {}) }
+  session.readings = match.joined({}, from.clock or {})
   return snapshot.put(fsm, from.snapshot,
     { migrate = session.options.migrate and itself or nil })
 end

@@ -80,6 +80,13 @@ function options.read(known, given)
   return settings
 end
 
+--- Raise an error that blames the caller of the function `where`, unless a value is the
+-- name of a file.
+function options.check_file(where, file)
+  if options.is_text(file) then return end
+  error(("%s: file name expected, %s"):format(where, options.got(file)), 3)
+end
+
 -- The names of packages whose modules have other names: of rocks, and of Debian.
 local ROCKS, DEBIAN = { socket = "luasocket", lxp = "luaexpat" }, { lxp = "expat" }
 

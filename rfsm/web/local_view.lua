@@ -13,6 +13,7 @@ local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local calls = require "rfsm.shared.calls"
 local marsh = require "rfsm.marsh"
+local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
 local breakpoints = require "rfsm.observe.breakpoints"
 local clock = require "rfsm.clock"
@@ -132,7 +133,7 @@ local function note_step(view, fsm, events)
     check_points(view, "event", events[i])
   end
   if path then
-    view:note("step", path, { unpack(events) }, view:moment())
+    view:note("step", path, match.joined({}, events), view:moment())
     view.path[fsm] = nil
   end
   view:touch()
