@@ -1,9 +1,9 @@
--- VM instructions of a call in a server:  lua5.1 bench/server.lua
+-- VM instructions of a call in a server:  lua5.1 bench/server.lua [MOVES]
 --
 -- For charts of each kind with 10, 100 and 500 states: putting a saved machine, taking
--- it, and one rfsm_send with all that belongs to it. Redis is a table here; its
--- commands, pack and unpack are C there, and not counted. Needs an interpreter that
--- calls a count hook at each instruction: not LuaJIT.
+-- it, and one rfsm_send with all that belongs to it; with MOVES, a history keeps so
+-- many moves. Redis is a table here; its commands, pack and unpack are C, not counted.
+-- Needs an interpreter that calls a count hook at each instruction: not LuaJIT.
 
 package.path = "./?.lua;" .. package.path
 
@@ -76,11 +76,11 @@ local function uncounted(f)
   end
 end
 
-local values, packed = {}, nil
+local values, packed = {}, {}
 local COMMANDS = {
   GET = function(key) return values[key] and key or false end,
   TIME = function() return { "1700000000", "123456" } end,
-  SET = function(key) values[key] = packed end,
+  SET = function(key, text) values[key], packed = packed[#text], {} end,
   TYPE = function() return { ok = "none" } end,
 }
 local redis = { acl_check_cmd = uncounted(function() return true end),
@@ -89,8 +89,8 @@ local redis = { acl_check_cmd = uncounted(function() return true end),
   end) }
 local cmsgpack = {
   pack = uncounted(function(list)
-    packed = copy_of(list)
-    return ""
+    packed[#packed + 1] = copy_of(list)
+    return ("x"):rep(#packed)
   end),
   unpack = uncounted(function(key) return copy_of(values[key]) end),
 }
@@ -103,7 +103,8 @@ for _, kind in ipairs(KINDS) do
     end }
   end
 end
-local f = functions(store(redis, { decode = codec.decode }, cmsgpack), list, {})
+local f = functions(store(redis, { decode = codec.decode }, cmsgpack), list,
+  { history = tonumber(arg[1]) })
 
 print(("%-12s %8s %8s %8s"):format("chart", "put", "take", "send"))
 for _, chart in ipairs(list) do

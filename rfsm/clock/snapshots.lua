@@ -42,19 +42,6 @@ return function(engine)
   -- The name under which snapshots have the seconds since the entry of a timed state.
   local function name_of_time(state) return "time_in@" .. state._fqn end
 
-  -- Adds the seconds since the entry of each timed state that is active.
-  local function save_times(fsm, timed, left)
-    for _, state in ipairs(timed) do
-      local timers = state._timers
-      if timers.sec then
-        local sec, nsec = time_of(fsm)
-        left = left or {}
-        left[name_of_time(state)] = kept_time(sec - timers.sec, nsec - timers.nsec)
-      end
-    end
-    return left
-  end
-
   -- Returns what a snapshot keeps of a timer; nil if it is not armed.
   local function kept_timer(fsm, timer)
     local sec, nsec = engine.deadline_of(timer)
@@ -67,22 +54,33 @@ return function(engine)
     return kept_time(sec, nsec)
   end
 
+  -- Adds what a snapshot keeps of the timers of a state to a list, or makes one (nil:
+  -- none yet); of a timed state also the seconds since its entry. Returns the list.
+  local function save_state(fsm, state, left)
+    local timers = state._timers
+    for i = 1, #timers do
+      local kept = kept_timer(fsm, timers[i])
+      if kept ~= nil then
+        left = left or {}
+        left[timers[i].name] = kept
+      end
+    end
+    if timers.sec and state.timed == true then
+      local sec, nsec = time_of(fsm)
+      left = left or {}
+      left[name_of_time(state)] = kept_time(sec - timers.sec, nsec - timers.nsec)
+    end
+    return left
+  end
+
   local function save(fsm)
     fsm._timeevent.now = false
-    local state, timed, left = fsm._mode ~= "inactive" and fsm, {}, nil
+    local state, left = fsm._mode ~= "inactive" and fsm, nil
     while state do
-      local timers = state._timers
-      for i = 1, timers and #timers or 0 do
-        local kept = kept_timer(fsm, timers[i])
-        if kept ~= nil then
-          left = left or {}
-          left[timers[i].name] = kept
-        end
-      end
-      if timers and state.timed == true then timed[#timed + 1] = state end
+      if state._timers then left = save_state(fsm, state, left) end
       state = state._actchild
     end
-    return save_times(fsm, timed, left)
+    return left
   end
 
   -- Returns the seconds and nanoseconds of a time in a snapshot. There the time is a

@@ -12,6 +12,7 @@ local error, getmetatable, next = error, getmetatable, next
 local pcall, rawget, tonumber, tostring = pcall, rawget, tonumber, tostring
 local type = type
 local floor = math.floor
+local find, gsub = string.find, string.gsub
 local concat, sort = table.concat, table.sort
 local number_text, text_of = rfsm.number_text, rfsm.text_of
 local jit, math_type = rawget(_G, "jit"), rawget(math, "type")
@@ -57,7 +58,11 @@ local function escape(char)
   return ESCAPES[char] or ("\\u%04x"):format(char:byte())
 end
 
-local function quote(text) return '"' .. text:gsub('[%c"\\]', escape) .. '"' end
+local UNSAFE = '[%c"\\]'
+
+local function quote(text)
+  return '"' .. (find(text, UNSAFE) and gsub(text, UNSAFE, escape) or text) .. '"'
+end
 
 local encode
 
