@@ -338,7 +338,8 @@ end
 
 --- Count the machines of each version of each chart.
 ---@return { chart: string, known: string, version: string, count: integer }[]? list
---- `known` is "newest", "bundled" (in the library), or "gone"
+--- `known` is "newest", "bundled" (in the library), "gone", or "broken": overwritten by
+--- another program
 ---@return string? problem
 function Fleet:versions()
   local counts, list = {}, {}
@@ -375,7 +376,7 @@ end
 ---@class rfsm.fleet.Filter
 ---@field chart? string
 ---@field state? string FQN of its leaf, or of a state around it
----@field version? string "newest", "bundled", "gone", or a fingerprint
+---@field version? string "newest", "bundled", "gone", "broken", or a fingerprint
 ---@field age? integer seconds in its leaf, at least; the library needs `--index`
 ---@field held? string "yes" or "no"
 ---@field key? string its key, or a pattern of Redis, such as m:{7}:*
@@ -386,7 +387,7 @@ end
 ---@field key string
 ---@field chart string
 ---@field leaf string
----@field known string of which version it is: "newest", "bundled", "gone"
+---@field known string of which version it is: "newest", "bundled", "gone", "broken"
 ---@field seconds? integer how long it has been in its leaf
 ---@field held boolean
 ---@field reason? string why it is held

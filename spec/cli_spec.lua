@@ -549,6 +549,7 @@ describe("rfsm fleet", function()
       select = function(_, filter)
         calls[#calls + 1] = filter
         if filter.chart == "none" or filter.state == "root.by" then return {} end
+        if filter.chart == "lost" then return nil, "no answer from 7" end
         return { { key = "k1", chart = "c", leaf = "root.a", known = "newest",
           seconds = 7, held = true, reason = "no arm" },
           { key = "k2", chart = "c", leaf = "root.a", known = "gone" } }
@@ -592,6 +593,10 @@ describe("rfsm fleet", function()
       with_many("tick --where chart=c", {}))
     assert.same({ "k1 c root.a\n", "rfsm fleet: 1 found, nothing was done\n", 0 },
       with_many("force k1 root.b --dry-run", {}))
+    for _, verb in ipairs { "hold", "again" } do
+      assert.same({ "", "rfsm fleet: no answer from 7; nothing was done\n", 1 },
+        with_many(verb .. " --where chart=lost", {}))
+    end
     for filter, hint in pairs { ["chart=none"] = " (there is 'c')", -- any order: each
       ["state=root.by"] = " (did you mean 'root.bay'?)" } do -- stands alone
       assert.same({ "", "rfsm fleet: no machine is like that, so nothing was done"
@@ -622,11 +627,21 @@ describe("rfsm fleet", function()
         .. "(again)\n", "rfsm fleet: 3 of 3 done\n", 0 },
         with_many("again --where age=" .. age, calls))
     end
-    assert.same({ "", "rfsm fleet: it is not there\n", 1 },
+    assert.same({ "", "rfsm fleet: it is not there; nothing was done\n", 1 },
       with_many("again 0 7-0", calls))
     assert.same({ "", "rfsm fleet: no entry is like that, so nothing was done (there "
       .. "is 'c')\n", 2 },
       with_many("again --where chart=none", calls))
+  end)
+
+  it("pulls a machine into a file", function()
+    local file = helper.file_with("the one before")
+    local client = { pull = function() return '{"leaf":"root.a"}\n' end }
+    local modules = { ["rfsm.fleet"] = { connect = function() return client end } }
+    assert.same({ "", "", 0 }, { run("fleet redis://x pull k " .. file, modules) })
+    assert.equal('{"leaf":"root.a"}\n', helper.content(file))
+    assert.same({ "", "rfsm fleet: /nowhere/m.json.part: No such file or directory\n",
+      1 }, { run("fleet redis://x pull k /nowhere/m.json", modules) })
   end)
 
   it("sets a value, or says why it is none", function()
@@ -643,8 +658,8 @@ describe("rfsm fleet", function()
     assert.equal([=[
    again drop TAG ID   cancel KEY ID   charts list reindex versions
    create KEY CHART [FIELD=VALUE...]   dead [LIMIT]   due [LIMIT [TIME]]
-   find CHART STATE [LIMIT [SECONDS]]   force KEY STATE
-   get move pull release remove tick KEY   history log KEY [N]   hold KEY [WHY]
+   find CHART STATE [LIMIT [SECONDS]]   force KEY STATE   history log KEY [N]
+   get move release remove tick KEY   hold KEY [WHY]   pull KEY [FILE]
    push KEY FILE   send KEY EVENT [ID]   set KEY FIELD=VALUE   why KEY EVENT
 ]=], run("help fleet"):match("Verbs:\n(.*)"))
   end)

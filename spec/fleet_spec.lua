@@ -697,6 +697,23 @@ describe("rfsm fleet", function()
       fleet_command("log", "m:{0}:1"))
   end)
 
+  it("tells of a machine that another program has overwritten", function()
+    for i = 1, 3 do assert(machines:create(i, "timed")) end
+    local version = machines:get(1).version
+    server:cli("SET m:{0}:2 x")
+    server:cli("SET m:{0}:9 'of another program'")
+    assert.matches("^m:{0}:1 timed root.a newest %d+ s\nm:{0}:2 %(broken%)  broken %d+ "
+      .. "s\nm:{0}:3 timed root.a newest %d+ s\n", fleet_command("list"))
+    assert.equal(("(broken) broken (broken) 1\ntimed newest %s 2\n"):format(version),
+      fleet_command("versions"))
+    assert.matches("^m:{0}:2 %(broken%)  broken %d+ s\nrfsm fleet: 1 found",
+      fleet_command("remove --dry-run --where version=broken"))
+    assert.matches("fleet: 2 machines: timed root.a 2\n$",
+      fleet_command("list --where age=0"))
+    assert.matches("what is at 'm:{0}:2' is no machine\n.*fleet: 2 of 3 done\n$",
+      fleet_command("hold --where key='*:[1-9]'"))
+  end)
+
   it("makes a machine with data", function()
     local key = key_of(1)
     assert.equal("root.a done taken\n", fleet_command("create", key, "timed", "n=4"))
@@ -1060,7 +1077,7 @@ describe("an operator who types what doc/redis.md prints", function()
     assert(machines:send("m:{7}:42", "e_paid"))
     server:move_clock(3600)
     local printed = typed "rfsm fleet redis://localhost list --where age"
-    assert.matches("^m:{7}:42 order root.picking newest %d+ s\nrfsm fleet: 1 machines: "
+    assert.matches("^m:{7}:42 order root.picking newest %d+ s\nrfsm fleet: 1 machine: "
       .. "order root.picking 1\n$", printed[1])
     assert.matches("\nkept: %[%]\nlater: %[%]\n.*\nwaiting: %[%]\n", printed[2])
     assert.matches("(picking -> packing) would be taken on e_picked", printed[3], 1,
@@ -1116,7 +1133,7 @@ describe("an operator who types what doc/redis.md prints", function()
     assert.equal("", printed[2])
     assert.equal("", printed[3])
     assert.matches("^order newest %S+ 1\n$", printed[4])
-    assert.same({ "m:{7}:42 root.picking (move: it was the newest)\n", "1 machines\n",
+    assert.same({ "m:{7}:42 root.picking (move: it was the newest)\n", "1 machine\n",
       "root.picking done kept\n" }, { printed[5], printed[6], printed[7] })
     assert.same({ "", "rfsm fleet: it is not there\n" }, { printed[8], printed[9] })
   end)

@@ -813,6 +813,9 @@ root.even
 kept
 root.odd (release) by postgres
 root.even (force) by bob
+root.odd
+root.odd
+root.even
 |root.even
 (hold: no paper) by ann|root.even
 e_tick (waits)|root.even
@@ -820,6 +823,8 @@ e_tick (waits)|root.even
 (release) by postgres|root.even
 e_tick|root.odd
 (force) by bob|root.even
+e_tick by ann|root.odd
+e_tick by postgres|root.even
 (remove) by ann|root.even|
 t
 f
@@ -833,6 +838,9 @@ SELECT outcome FROM rfsm.reply('1', ARRAY['e_tick'], 'x');
 SELECT rfsm.cancel('1', 'x') \gset
 SELECT rfsm.release('1');
 SELECT rfsm.force('1', 'root.even', 'bob');
+SELECT rfsm.send_by('1', 'e_tick', 'ann', 'y');
+SELECT rfsm.send_by('1', 'e_tick', 'ann', 'y');
+SELECT rfsm.send_by('1', 'e_tick');
 SELECT rfsm.remove('1', 'ann') AS was_there \gset
 SELECT event, tgt FROM rfsm.history WHERE tgt IS NOT NULL ORDER BY id;
 SELECT event, src, tgt FROM rfsm.history WHERE tgt IS NULL;
@@ -1052,7 +1060,7 @@ describe("a role that may use the schema", function()
     "SELECT rfsm.force('1', 'root.odd')", "SELECT rfsm.drop(1)",
     "SELECT rfsm.metrics()", "SELECT rfsm.trim('1 day')",
     "SELECT rfsm.pull('1')", "SELECT rfsm.push('1', '')",
-    "SELECT rfsm.set('1', '', '1')",
+    "SELECT rfsm.set('1', '', '1')", "SELECT rfsm.send_by('1', 'e_tick')",
     "SELECT rfsm.take()", "SELECT rfsm.done(1)", "SELECT rfsm.fail(1, 'x')",
     "CREATE TABLE rfsm.x (y int)", "CREATE FUNCTION rfsm.f() RETURNS int LANGUAGE sql "
       .. "AS 'SELECT 1'",

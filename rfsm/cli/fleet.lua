@@ -7,6 +7,7 @@ local advice = require "rfsm.advice"
 local chart = require "rfsm.shared.chart"
 local codec = require "rfsm.server.codec"
 local common = require "rfsm.cli.common"
+local files = require "rfsm.shared.files"
 local opts = require "rfsm.shared.options"
 local rfsm = require "rfsm"
 local typed = require "rfsm.shared.typed"
@@ -18,14 +19,16 @@ local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local command = {}
 
 -- Returns the result of f(...), which asks a server. If it fails, ends the program with
--- the reason in one line; with this status if f returns nil or false and the problem.
-local function ask_or_end(status, f, ...)
+-- the reason in one line, and a note behind it; with this status if f returns nil or
+-- false and the problem.
+local function ask_or_end(status, note, f, ...)
   local ok, result, problem = pcall(f, ...)
-  if not ok then common.fail(chart.first_line(result)) end
-  return result or common.fail(chart.first_line(problem or "it is not there"), status)
+  if not ok then common.fail(chart.first_line(result) .. note) end
+  return result
+    or common.fail(chart.first_line(problem or "it is not there") .. note, status)
 end
 
-local function ask(f, ...) return ask_or_end(1, f, ...) end
+local function ask(f, ...) return ask_or_end(1, "", f, ...) end
 
 --- The same with status 1.
 command.ask = ask
@@ -135,20 +138,27 @@ local function send_lines(fleet, options, key, text, id)
   return lines_of(ask(fleet.send_by, fleet, options.by, id, key, event), "send")
 end
 
+local function machines_text(count)
+  return ("%d %s"):format(count, count == 1 and "machine" or "machines")
+end
+
 local function reindex_lines(fleet)
-  return { ("%d machines"):format(ask(fleet.reindex, fleet)) }
+  return { machines_text(ask(fleet.reindex, fleet)) }
 end
 
 -- One machine as a file ------------------------------------------------------------
 
-local function pull_lines(fleet, _, key)
-  return { (ask(fleet.pull, fleet, key):gsub("\n$", "")) }
+local function pull_lines(fleet, _, key, file)
+  local text = ask(fleet.pull, fleet, key)
+  if not file then return { (text:gsub("\n$", "")) } end
+  common.try(files.replace(file, text))
+  return {}
 end
 
 -- Returns the lines of a reply. If the server refuses, ends the program with status 2:
 -- nothing was moved.
 local function moved_lines(fleet, verb, key, ...)
-  return lines_of(ask_or_end(2, fleet[verb], fleet, key, ...), verb,
+  return lines_of(ask_or_end(2, "", fleet[verb], fleet, key, ...), verb,
     NOTES[verb] and key)
 end
 
@@ -183,7 +193,7 @@ end
 
 -- Many machines --------------------------------------------------------------------
 
-local VERSIONS = { bundled = true, gone = true, newest = true }
+local VERSIONS = { broken = true, bundled = true, gone = true, newest = true }
 
 -- Returns a hint for a version that no machine has, or else for a chart or a state that
 -- the library has not; else "".
@@ -378,7 +388,7 @@ end
 local function list_lines(fleet, options)
   local filter = options.where or {}
   local found = ask(find_machines, fleet, filter)
-  return texts_of(found), ("%d machines%s"):format(#found, found[1] and counts_of(found)
+  return texts_of(found), machines_text(#found) .. (found[1] and counts_of(found)
     or hint_for(fleet, filter.chart, filter.state, filter.version))
 end
 
@@ -386,7 +396,8 @@ end
 -- the status: 1 if one was refused.
 local function do_many(fleet, options, filter)
   local find = MANY[options.verb]
-  local found = filter and ask(find, fleet, filter) or ask(find_named, fleet, options)
+  local found = ask_or_end(1, "; nothing was done", filter and find or find_named,
+    fleet, filter or options)
   if not found[1] then
     common.fail(("no %s is like that, so nothing was done%s"):format(find == find_dead
       and "entry" or "machine", hint_for(fleet, filter.chart, filter.state,
@@ -460,9 +471,9 @@ local function help()
   for _, group in ipairs(groups) do
     local text = "   " .. concat(group, " ") .. (group.usage ~= "" and " " or "")
       .. group.usage
-    local is_first = not lines[2] or #lines[#lines] + #text > 79
-    lines[is_first and #lines + 1 or #lines] = (is_first and "" or lines[#lines])
-      .. text
+    local at = 2
+    while lines[at] and #lines[at] + #text > 79 do at = at + 1 end
+    lines[at] = (lines[at] or "") .. text
   end
   return concat(lines, "\n")
 end

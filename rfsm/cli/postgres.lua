@@ -4,7 +4,7 @@
 -- @license BSD-3-Clause
 
 local common = require "rfsm.cli.common"
-local files = require "rfsm.shared.files"
+local programs = require "rfsm.shared.programs"
 
 local postgres = {
   summary = "Bundle charts as SQL for PostgreSQL.",
@@ -26,38 +26,29 @@ function postgres.add_arguments(command)
   command:flag("--notify", "report moves to those who LISTEN")
 end
 
--- Runs psql for a database: a name, or the address that psql takes. Returns its output;
--- nil and the reason in one line if it fails.
-local function run(arguments, database)
-  local log = os.tmpname()
-  local status = os.execute(("psql -XAqt -v ON_ERROR_STOP=1 -v VERBOSITY=terse %s "
-    .. "-d %s >'%s' 2>&1"):format(arguments, common.quoted(database), log))
-  local output = files.read(log) or ""
-  os.remove(log)
-  if status == true or status == 0 then return output end
-  return nil, output:match("ERROR: *([^\n]*)") or output:match("[^\n]+")
-    or "psql failed"
+-- Has psql run SQL in a database: a name, or the address that psql takes. Returns its
+-- output, and what it reports. If it is refused, nothing was done, and the program ends
+-- with this status.
+local function run(sql, database, status)
+  local ok, output, log = programs.run("psql -XAqt -v ON_ERROR_STOP=1 -v "
+    .. "VERBOSITY=terse -d " .. common.quoted(database):gsub("%%", "%%%%")
+    .. " -f %s", sql)
+  if ok then return output, log end
+  common.fail(log:match("ERROR: *([^\n]*)") or log:match("[^\n]+") or "psql failed",
+    status)
 end
 
--- Loads SQL into a database. If it is refused, nothing was loaded, and the program
--- ends with status 2.
+-- Loads SQL into a database, and reports warnings.
 local function load(sql, database)
-  local script = os.tmpname()
-  common.try(files.write(script, sql))
-  local output, problem = run(("-f '%s'"):format(script), database)
-  os.remove(script)
-  if not output then common.fail(problem, 2) end
-  for line in output:gmatch "WARNING: *([^\n]*)" do common.warn(line) end
-end
-
--- Returns the numbers of a database for Prometheus.
-local function stats(database)
-  return common.try(run("-c 'SELECT * FROM rfsm.metrics()'", database))
+  local _, log = run(sql, database, 2)
+  for line in log:gmatch "WARNING: *([^\n]*)" do common.warn(line) end
 end
 
 function postgres.run(options, parser)
   local script, text = require "rfsm.postgres.script", nil
-  if options.stats then return common.write("-", stats(options.stats)) end
+  if options.stats then
+    return common.write("-", (run("SELECT * FROM rfsm.metrics()", options.stats)))
+  end
   local settings = { history = options.history or options.history_days ~= nil,
     notify = options.notify, history_days = options.history_days }
   if not options.client then

@@ -218,13 +218,21 @@ BEGIN
   outcome := r[cardinality(r)];
 END $$;
 
+-- An operator sends an event, and the history has who that is.
+CREATE OR REPLACE FUNCTION rfsm.send_by(key text, event text,
+  who text DEFAULT session_user, id text DEFAULT NULL) RETURNS text $BY AS $$
+BEGIN
+  RETURN (rfsm.call('rfsm_send', key, ARRAY[event, 'BY', who],
+    coalesce(id, gen_random_uuid()::text)))[1];
+END $$;
+
 -- They had fewer parameters.
 DROP FUNCTION IF EXISTS rfsm.set(text, text, jsonb, text), rfsm.hold(text),
   rfsm.hold(text, text), rfsm.release(text), rfsm.force(text, text), rfsm.move(text),
   rfsm.remove(text);
 
 ]] .. concat(calls) .. [[
-REVOKE EXECUTE ON FUNCTION ]] .. concat(revoked, ", ") .. [[ FROM PUBLIC;
+REVOKE EXECUTE ON FUNCTION ]] .. concat(revoked, ", ") .. [[, rfsm.send_by FROM PUBLIC;
 
 -- Runs a machine that is due, unless another session has locked it; returns whether it
 -- ran. A machine that cannot run waits for a minute, and the log has the reason.

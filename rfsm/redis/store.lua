@@ -401,13 +401,25 @@ function more.rfsm_stats(keys)
     list_counters() }
 end
 
+-- The list for a key that another program has overwritten.
+local BROKEN = { "rfsm", "(broken)", { chart = "(broken)" } }
+
+-- Was there a machine at a key? Then it has a timer, a place in the index, or a log.
+local function was_machine(key)
+  return call("ZSCORE", keys_of.due(key), key)
+    or call("ZSCORE", keys_of.since(key), key)
+    or call("EXISTS", keys_of.log(key), keys_of.history(key)) > 0
+end
+
 -- Calls f(key, list) for each machine in a list of keys. If there is no machine at the
 -- first key, calls it for all machines with its hash tag. Returns how many there are.
 local function each_machine(keys, f)
   local count, found, seen = 0, keys, {}
   local function see(key)
+    if seen[key] then return end -- SCAN may list a key twice
     local ok, list = pcall(store.read, key)
-    if not (ok and list) or seen[key] then return end -- SCAN may list a key twice
+    if not ok then list = was_machine(key) and BROKEN end
+    if not list then return end
     count, seen[key] = count + 1, true
     f(key, list)
   end
@@ -437,14 +449,18 @@ function more.rfsm_reindex(keys)
   end)
 end
 
+-- Returns how the version of a machine is known.
+local function known_of(list)
+  return list == BROKEN and "broken" or version_of(list[2], list[3])
+end
+
 -- rfsm_versions KEY...: returns four items for each version of a chart: its name, how
--- the version is known ("newest", "bundled", "gone"), its fingerprint, and how many
--- machines are of this version.
+-- the version is known ("newest", "bundled", "gone", "broken": overwritten), its
+-- fingerprint, and how many machines are of this version.
 function more.rfsm_versions(keys)
   local counts, reply = {}, {}
   each_machine(keys, function(_, list)
-    local snap = list[3]
-    local name = concat({ list[2], version_of(list[2], snap), snap.chart }, "\t")
+    local name = concat({ list[2], known_of(list), list[3].chart }, "\t")
     counts[name] = (counts[name] or 0) + 1
   end)
   for _, name in ipairs(rfsm.sorted_keys(counts)) do
@@ -459,15 +475,18 @@ local function is_in(leaf, state)
 end
 
 -- Returns a function that tells if a list of a machine is what the arguments of
--- `rfsm_select` ask for, and how its version is known. An empty text stands for any.
+-- `rfsm_select` ask for, and how its version is known. An empty text stands for any. A
+-- broken machine is found by its version, or if all are asked for.
 local function filter_of(args)
   local name, state, version, _, held = unpack(args, 1, 5)
+  local is_all = concat(args) == ""
   return function(list)
     if name ~= "" and name ~= list[2] then return false end
     if held == (list[9] and "no" or "yes") then return false end
     if state ~= "" and not is_in(list[3].leaf or "", state) then return false end
-    local known = version_of(list[2], list[3])
-    return version == "" or version == known or version == list[3].chart, known
+    local known = known_of(list)
+    if version == "" then return is_all or list ~= BROKEN, known end
+    return version == known or version == list[3].chart, known
   end
 end
 

@@ -55,7 +55,7 @@ local verbs = {
     usage = "KEY STATE", needs = 2, by = true, bulk = true },
   { name = "remove", sql = { ", who text DEFAULT session_user", "boolean",
     "ARRAY['BY', who], NULL" }, usage = "KEY", needs = 1, by = true, bulk = true },
-  { name = "pull", reads = true, sql = { "", "text" }, usage = "KEY", needs = 1,
+  { name = "pull", reads = true, sql = { "", "text" }, usage = "KEY [FILE]", needs = 1,
     by = true },
   { name = "push", sql = written(", file text, if_version bigint DEFAULT NULL",
     "ARRAY[file, coalesce(if_version::text, '')]"), usage = "KEY FILE", needs = 2,

@@ -26,23 +26,31 @@ local function take(file)
 end
 
 --- Have a program work on a text. `command` begins with the name of the program; "%s"
--- in it is the file with the text. `hint` is the problem if the program is missing.
----@return string? result what the program prints
----@return string? problem in one line
-function programs.filter(command, text, hint)
+-- in it is the file with the text.
+---@return boolean ok
+---@return string result what the program prints
+---@return string complaint what it prints to stderr, or the problem with the text
+function programs.run(command, text)
   local input, output, log = os.tmpname(), os.tmpname(), os.tmpname()
-  local name = command:match("^%S+")
   local ok, problem = files.write(input, text)
   if ok then
     ok = succeeds(COMMAND:format(command:format("'" .. input .. "'"), output, log, log))
   end
   local result, complaint = take(output), take(log)
   os.remove(input)
+  return ok, result, problem or complaint
+end
+
+--- The same for a program that has to print a text. `hint` is the problem if it is
+-- missing.
+---@return string? result what the program prints
+---@return string? problem in one line
+function programs.filter(command, text, hint)
+  local ok, result, complaint = programs.run(command, text)
   if ok and result ~= "" then return result end
-  if not (problem or succeeds("command -v " .. name .. " >/dev/null 2>&1")) then
-    return nil, hint
-  end
-  return nil, problem or name .. ": " .. (complaint:match("[^\n]+") or "no result")
+  local name = command:match("^%S+")
+  if not succeeds("command -v " .. name .. " >/dev/null 2>&1") then return nil, hint end
+  return nil, name .. ": " .. (complaint:match("[^\n]+") or "no result")
 end
 
 return programs
