@@ -108,6 +108,7 @@ describe("a transition that needs no event", function()
       local time, told = require("rfsm.clock").simulated(), {}
       local fsm = new { gettime = time,
         err = function(text) told[#told + 1] = text end }
+      rfsm.reset(fsm)
       rfsm_checks.watch_properties(fsm, { p = rfsm_checks.from "root.a".stays(1) })
       rfsm.step(fsm)
       time:advance(seconds)

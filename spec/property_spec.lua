@@ -4,6 +4,7 @@ local ab = require "spec.support.ab"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
 local share = require "spec.support.share"
+local snapshot = require "rfsm.snapshot"
 local watching = require "spec.support.claims.watching"
 require "rfsm_timeevent"
 
@@ -271,6 +272,32 @@ describe("a machine that is watched", function()
 
   it("does what it would do", function()
     assert.is_nil(share.problem(watching, 30, true))
+  end)
+
+  it("is not reported for what may have happened before the watch", function()
+    local now, given = 0, { rfsm_checks.precedes("root.a", "root.b"),
+      rfsm_checks.precedes("e_c", "e_x"), rfsm_checks.until_("root.c", "root.a"),
+      rfsm_checks.always("root.c").unless "root.a", from "root.a".stays(5) }
+    local members = { gettime = function() return now, 0 end }
+    for key, value in pairs(C) do members[key] = value end
+    start(members, {})
+    local snap = snapshot.take(fsm)
+    now = 9
+    send("e_x")
+    send("e_x")
+    rfsm_checks.watch_properties(fsm, given)
+    send("e_x")
+    assert.same({}, told)
+    start(members, given)
+    told = {}
+    assert(snapshot.put(fsm, snap))
+    send("e_x")
+    assert.same({}, told)
+    send("e_x")
+    send("e_x")
+    assert.equal("property 'from root.a stays 5 s' does not hold",
+      (told[1] or ""):match("^[^\n]*"))
+    assert.equal(1, #told)
   end)
 
   it("may do what it owes if its clock fails: a timer may be armed", function()

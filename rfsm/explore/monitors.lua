@@ -76,6 +76,7 @@ end
 ---@field passes? boolean its monitor also looks at the states that a step passes
 ---@field owes? string the state that its monitor must leave eventually
 ---@field next? string the state after a violation, if there can be only one violation
+---@field unseen? string the state if the machine was entered unseen (default: `next`)
 ---@field see? function looks at a step, with the parameters and results of
 -- `monitors.look`; nil for `from`, which no single run can violate
 ---@field judge? fun(walk: rfsm_checks.Walk, judged: rfsm_checks.Judged) judges it when
@@ -92,13 +93,13 @@ local kinds = {
   after_never = { text = "after {event} never {goal}", passes = true },
   observer = { text = "observer" },
   never_until = { text = "after {event} never {goal}" },
-  unless = { text = "always {what}" },
+  unless = { text = "always {what}", unseen = "root.free" },
   precedes = { text = "{what} precedes {goal}", next = "root.seen" },
   ["until"] = { text = "{what} until {goal}", owes = "first", next = "done" },
   reach_within = { text = "after {event} reach {goal} within {seconds} s" },
   never_within = { text = "after {event} never {goal} within {seconds} s" },
   left_within = { text = "from {what} left within {seconds} s" },
-  stays = { text = "from {what} stays {seconds} s" },
+  stays = { text = "from {what} stays {seconds} s", unseen = "old" },
   at_most = { text = "at most {count} {event} within {seconds} s" },
   at_least = { text = "at least {count} {event} within {seconds} s" },
 }

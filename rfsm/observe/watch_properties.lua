@@ -232,8 +232,10 @@ local function begin_iteration(own, at)
   if at.machine ~= own.fsm then return end
   local step = own.step
   own.now, own.leaf = read_clock(own), own.fsm._act_leaf or false
+  local is_unseen = step.phase == "new" and own.leaf -- what was before is not known
   for _, monitor in ipairs(step.forwarded[1] == nil and step.monitors or NOTHING) do
-    local scope = monitor.property.scope
+    local kind, scope = kinds[monitor.property.kind], monitor.property.scope
+    if is_unseen then monitor.state = kind.unseen or kind.next or "first" end
     monitor.is_in_scope = scope == nil or monitors.holds(scope, own.active)
   end
   step.phase = "begun"
@@ -500,7 +502,8 @@ end
 -- The properties are as in an exploration, except that `from(...).can_reach(...)` and
 -- flags are not possible. If an event has to lead to a condition and has not, this is
 -- reported when nothing more can happen before the next event. After a report the
--- property is watched anew.
+-- property is watched anew. Nothing is reported that rests on what happened before the
+-- watch, if the machine was entered before, or before a snapshot was put into it.
 --
 -- @raise if a property is wrong, or names a state that does not exist
 ---@param fsm rfsm.Machine
