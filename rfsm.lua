@@ -2583,7 +2583,13 @@ local function empty(list)
   for i = #list, 1, -1 do list[i] = nil end
 end
 
--- Ends an iteration whose hooks were called. Returns the results of `iterate`. The list
+-- Makes the iteration after one that was free, for which no other step is made.
+local function iterate_again(fsm)
+  if fsm._has_always then fsm._is_usual = false end
+  return iterate(fsm, true)
+end
+
+-- Ends an iteration whose hooks were called. Returns the result of `iterate`. The list
 -- of current events is used again, unless a callback may have kept it.
 local function close(fsm)
   if fsm._is_lent then
@@ -2600,9 +2606,11 @@ local function close(fsm)
     fsm._is_cut = false
     if fsm._failure then engine.raise_failure(fsm) end
   end
-  local outcome = fsm._outcome
-  return outcome ~= "free",
-    outcome == "idle" and fsm._intq[1] == nil and fsm._act_leaf ~= false
+  if fsm._outcome == "free" then
+    local idle = iterate_again(fsm)
+    return idle
+  end
+  return fsm._outcome == "idle" and fsm._intq[1] == nil and fsm._act_leaf ~= false
 end
 
 -- The phase "finish": calls the post step hooks.
@@ -2703,8 +2711,10 @@ do
     if events[2] ~= nil then empty(events) end
     events[1] = nil
     fsm._phase = "idle"
-    if outcome ~= "idle" then return outcome == "counted", false end
-    return true, fsm._intq[1] == nil and fsm._act_leaf ~= false
+    if outcome == "counted" then return false end
+    if outcome == "idle" then return fsm._intq[1] == nil and fsm._act_leaf ~= false end
+    local idle = iterate_again(fsm)
+    return idle
   end
 
   -- Makes one iteration without events.
@@ -2712,7 +2722,7 @@ do
     local events = fsm._curq
     if leaf._mode == "done" and not leaf._doo_co then
       events[1] = nil
-      return true, true
+      return true
     elseif events[1] ~= nil then
       fsm._phase = "search"
       return search(fsm, after_free)
@@ -2722,7 +2732,7 @@ do
     local idle = run_doo(fsm, leaf)
     if not fsm._is_usual then return finish_cycle(fsm, idle) end
     fsm._phase = "idle"
-    return true, idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
+    return idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
   end
 
   -- Returns the function of the path that a search has found. Returns nil if it is not
@@ -2734,18 +2744,18 @@ do
     return path_of(fsm, leaf, segment, fsm._ways).run
   end
 
-  -- Makes one iteration. Returns whether it counts as a step and whether the machine is
-  -- idle, or only nil if the machine cannot be entered. `after_free` is true if the
-  -- last iteration did not count. The two lists of events are swapped. If an interrupt
-  -- cuts the swap short, `PHASES.begin` repairs it in the next iteration.
+  -- Makes one iteration, and another one if it does not count as a step; `after_free`
+  -- is true for that. Returns whether the machine is idle, nil if it cannot be entered.
+  -- The two lists of events are swapped. If an interrupt cuts the swap short,
+  -- `PHASES.begin` repairs it in the next iteration.
   function iterate(fsm, after_free) -- luacheck: ignore 561 (a call costs time)
     local leaf = fsm._act_leaf
     if not (leaf and fsm._is_usual) or fsm.dbg ~= silent then
       return go_on(fsm, after_free)
     end
     if fsm._is_hooked then -- no tail call: LuaJIT gives up what returns to a pcall
-      local counted, idle = iterate_hooked(fsm, after_free, leaf)
-      return counted, idle
+      local idle = iterate_hooked(fsm, after_free, leaf)
+      return idle
     end
     local events = fsm._intq
     local spare = fsm._curq
@@ -2778,7 +2788,9 @@ do
           events[1] = nil
         end
         fsm._phase = "idle"
-        return is_taken or false, false
+        if is_taken then return false end
+        local idle = iterate_again(fsm)
+        return idle
       end
     end
     fsm._phase = "search"
@@ -3209,20 +3221,18 @@ function engine.check_no_step(fsm, where, level)
     .. "resumed, rfsm.init(fsm) makes a fresh machine", level)
 end
 
-function engine.try(fsm, after_free)
-  local ok, counted, idle = pcall(iterate, fsm, after_free)
-  if not ok then raise_cut(fsm, counted) end
-  return counted, idle
+function engine.try(fsm)
+  local ok, idle = pcall(iterate, fsm)
+  if not ok then raise_cut(fsm, idle) end
+  return idle
 end
 
--- Iterates until `left` iterations have counted as steps or the machine is idle. The
--- result is true if it is idle. `counted` and `idle` come from the last iteration.
-local function advance(fsm, left, counted, idle)
-  while counted ~= nil do
-    if counted then
-      left = left - 1
-      if left < 1 then return idle end
-    end
+-- Makes more steps, until `left` steps are made or the machine is idle. The result is
+-- true if it is idle. `idle` comes from the last step.
+local function advance(fsm, left, idle)
+  while idle ~= nil do
+    left = left - 1
+    if left < 1 then return idle end
     local idle_hook = idle and fsm.idle_hook
     if idle and not idle_hook then break end
     if idle_hook then
@@ -3231,7 +3241,7 @@ local function advance(fsm, left, counted, idle)
       end
       idle_hook(fsm)
     end
-    counted, idle = engine.try(fsm, not counted)
+    idle = engine.try(fsm)
   end
   if idle and is_traced(fsm) then
     report(fsm, "dbg", "HIBERNATING",
@@ -3264,12 +3274,9 @@ do
     if not machines[fsm] then check_machine(fsm, "rfsm.step") end
     if fsm._phase ~= "idle" then engine.check_no_step(fsm, "rfsm.step", 3) end
     if n ~= nil then return (step_often(fsm, n)) end -- a tail call shifts error levels
-    local ok, counted, idle = pcall(iterate, fsm)
-    if ok and counted then return idle end -- no loop: LuaJIT makes one trace of it
-    if ok and counted == false then ok, counted, idle = pcall(iterate, fsm, true) end
-    if ok and counted then return idle end
-    if not ok then raise_cut(fsm, counted) end
-    return advance(fsm, 1, counted, idle)
+    local ok, idle = pcall(iterate, fsm)
+    if not ok then raise_cut(fsm, idle) end
+    return idle or false
   end
 end
 
@@ -3279,12 +3286,11 @@ end
 function rfsm.run(fsm)
   if not machines[fsm] then check_machine(fsm, "rfsm.run") end
   if fsm._phase ~= "idle" then engine.check_no_step(fsm, "rfsm.run", 3) end
-  local ok, counted, idle = pcall(iterate, fsm) -- usually two iterations, or three
-  if ok and counted and not idle then ok, counted, idle = pcall(iterate, fsm) end
-  if ok and counted == false then ok, counted, idle = pcall(iterate, fsm, true) end
-  if not ok then raise_cut(fsm, counted) end
+  local ok, idle = pcall(iterate, fsm) -- usually two steps; no loop, for LuaJIT
+  if ok and idle == false then ok, idle = pcall(iterate, fsm) end
+  if not ok then raise_cut(fsm, idle) end
   if idle and fsm.dbg == silent and not fsm.idle_hook then return true end
-  return advance(fsm, huge, counted, idle)
+  return advance(fsm, huge, idle)
 end
 
 --- Make a machine inactive, as it was after `init`, without a call of any exit.

@@ -53,9 +53,9 @@ return function(rfsm, engine)
     fsm._phase = "idle"
     if fsm._is_hooked then fsm._turn = fsm._turn - 1 end -- it is counted there
     fsm._is_usual = true
-    local counted, idle = iterate(fsm, after_free)
+    local idle = iterate(fsm, after_free)
     fsm._is_usual = false
-    return counted, idle
+    return idle
   end
 
   -- The phase "always". After an interrupt the list of current events may have events,

@@ -9,7 +9,7 @@
 -- interrupt  an interrupt is told apart from other errors, and raised again
 
 local REASONS = {
-  ["rfsm.lua"] = { 27, "user after package host" },
+  ["rfsm.lua"] = { 25, "user after package host" },
   ["rfsm_checks.lua"] = { 1, "user" },
   ["rfsm_seqand.lua"] = { 6, "user after input" },
   ["rfsm_timeevent.lua"] = { 2, "host user" },
