@@ -96,13 +96,14 @@ function rfsm_rtt.reason(problem)
 end
 
 local NOT_NEEDED = {
-  "rfsm.rtt.component", "rfsm.rtt.update", "rfsm.rtt.settings", "rfsm.rtt.inputs",
-  "rfsm.rtt.rttlib", "rfsm.rtt.events", "rfsm.rtt.port", "rfsm.shared.options",
-  "rfsm.shared.limit", "rfsm.shared.calls", "rfsm.advice",
+  "rfsm.rtt.component", "rfsm.rtt.wiring", "rfsm.rtt.hooks", "rfsm.rtt.update",
+  "rfsm.rtt.settings", "rfsm.rtt.inputs", "rfsm.rtt.rttlib", "rfsm.rtt.events",
+  "rfsm.rtt.port", "rfsm.shared.options", "rfsm.shared.limit", "rfsm.shared.calls",
+  "rfsm.advice",
 }
 
 -- Functions of rfsm.prepare that the core loads again if somebody reads them.
-local USED_ONCE = { "prepare", "save_memory", "set_emit" }
+local USED_ONCE = { "note_cut", "prepare", "save_memory", "set_emit" }
 
 --- Forget the modules that a launch has loaded, so that they become garbage. A launch
 -- also calls this first: Lua 5.1 never loads a module again if loading it once failed.

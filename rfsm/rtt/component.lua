@@ -6,23 +6,21 @@
 
 local rfsm_rtt = require "rfsm.rtt" -- first: it adapts Lua to a TLSF pool
 local rfsm = require "rfsm"
-local held_port = require "rfsm.rtt.port"
-local update = require "rfsm.rtt.update"
 
 local assert, collectgarbage, coroutine = assert, collectgarbage, coroutine
-local debug = debug
-local error, ipairs, loadfile, package = error, ipairs, loadfile, package
-local os, pairs, pcall, rawequal = os, pairs, pcall, rawequal
-local rawget, rawset, require = rawget, rawset, require
+local debug, error = debug, error
+local ipairs, loadfile, os, package = ipairs, loadfile, os, package
+local pairs, pcall, rawequal, rawget = pairs, pcall, rawequal, rawget
+local rawset, require = rawset, require
 local concat = table.concat
 local loadstring = rawget(_G, "loadstring") or rawget(_G, "load")
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
--- Functions that are needed after the launch use these locals, so that the rest of the
--- module `update` can be collected.
-local add_attributes, ATTRIBUTES = update.add_attributes, update.ATTRIBUTES
-local collect, remove_port = update.collect, held_port.remove
-local notice_exception, report = update.notice_exception, update.report
+-- Other modules of a launch are required where they are used, so that they can be
+-- collected while a pool needs the room for the chart and its machine. But a failure
+-- is reported by what is there.
+local remove_port = require("rfsm.rtt.port").remove
+local collect = require("rfsm.rtt.update").collect
+local fail = require("rfsm.rtt.update").fail
 
 local component = { RESUME = "rfsm.rtt: resume" } -- the name of a global
 
@@ -32,6 +30,9 @@ local component = { RESUME = "rfsm.rtt: resume" } -- the name of a global
 ---@field is_own boolean does the component launch its machine in its configureHook?
 ---@field theirs table<string, function> the program's hooks, by name
 ---@field log fun(level: string, ...) writes to RTT's log
+---@field make_ready fun() makes what is missing; loads a module
+---@field notice_exception fun(self: rfsm.rtt.Launched): boolean
+---@field report fun(self: rfsm.rtt.Launched, problem: any)
 ---@field rtt table the module of RTT
 ---@field component any the TaskContext
 ---@field ports table<string, rfsm.rtt.Port> ports, by the setting that asks for them
@@ -46,6 +47,7 @@ local component = { RESUME = "rfsm.rtt: resume" } -- the name of a global
 ---@field counts table<string, integer> the values of those attributes that are counters
 ---@field emit? fun(...) writes events to the event port; also global `emit_event`
 ---@field is_ready boolean do all ports exist, and are the program's hooks wrapped?
+---@field stepmul? integer the speed of the collector before the launch
 ---@field has_failed boolean did the last update fail?
 ---@field hear? fun() has the machine read its ports again, during its entry
 
@@ -59,121 +61,14 @@ local function drop(...)
   for _, name in ipairs { ... } do package.loaded[name] = nil end
 end
 
--- Ports --------------------------------------------------------------------------
-
--- For each setting of a launch that asks for a port: the class of the port, its default
--- name, the name of its global variable, its description, and its type if not string.
-local PORTS = {
-  fqn_port = { "out", "fqn", "fqn", "FQN of the active leaf" },
-  ev_outport = { "out", "events_out", "ev_outport", "events of the machine" },
-  ev_inport = { "in", "events_in", "ev_inport", "events for the machine" },
-  timer = { "in", "rfsm_timer", "rfsm_timer", "wakes for time events", "int" },
-}
-
--- Adds a port to the launch. With `ports = "configure"` it is made later, when the
--- component is configured.
-local function add(launch, facts, is_kept)
-  local held = held_port.reserve(launch.component, facts)
-  held.is_trigger = facts.porttype == "in" and launch.is_component
-  launch.held[#launch.held + 1] = held
-  held.timer = facts.name == "rfsm_timer" and launch.timer or nil
-  if launch.ports_at ~= "configure" then held_port.provide(held, is_kept) end
-  return held
-end
-
--- Returns the module that few launches need.
-local function inputs() return require("rfsm.rtt.inputs") end
-
--- Adds the ports in `ports`, or those that `rfsm.rtt.ports` has made before.
-local function add_inputs(launch)
-  local declared = rfsm_rtt.declared
-  if declared and launch.inputs and not launch.is_declared then
-    error("ports: expected once, rfsm_rtt.ports has made some", 0)
-  end
-  launch.inputs = launch.inputs or declared and declared.inputs
-  launch.sources = launch.inputs and inputs().make(launch.component, launch.inputs,
-    launch.is_component, launch.is_own or declared ~= nil) or {}
-  for _, held in ipairs(launch.sources) do launch.held[#launch.held + 1] = held end
-end
-
--- Adds the port that a setting of the launch asks for, by true or by a name.
-local function add_port(launch, field)
-  local wanted = launch[field]
-  if not wanted then return nil end
-  local way, name, global, text, kind = unpack(PORTS[field], 1, 5)
-  if wanted ~= true and field ~= "timer" then name = wanted end
-  local held = add(launch, { name = name, type = kind or "string", desc = text,
-    porttype = way }, launch.is_own)
-  held.keeps_last, held.global = field == "fqn_port", global
-  launch.ports[field] = held
-  rawset(_G, global, held.real or nil)
-  return held
-end
-
--- Looks the ports of the launch up again. With `is_made`, missing ports are made.
-local function find_ports(launch, is_made)
-  for _, held in ipairs(launch.held) do
-    if held:find() then
-      held:check()
-    elseif is_made then
-      held:make()
-    end
-    if held.global then rawset(_G, held.global, held.real or nil) end
-  end
-  for _, held in ipairs(launch.extra) do held:find() end
+-- Makes garbage what a stage of the launch has loaded.
+local function forget_stage()
+  drop("rfsm.rtt.wiring", "rfsm.rtt.update", "rfsm.rtt.events", "rfsm.rtt.inputs",
+    "rfsm.rtt.hooks", "rfsm.shared.calls")
+  collect()
 end
 
 -- The machine --------------------------------------------------------------------
-
--- Returns an object that is read like a port. Its samples are events from `getevents`.
-local function port_of(getevents)
-  local list, i = false, 0
-  return { read = function()
-    list = list or getevents() or {}
-    i = i + 1
-    if list[i] ~= nil then return "NewData", list[i] end
-    list, i = false, 0
-    return "NoData"
-  end }
-end
-
--- Adds to the launch the ports that its prefile has listed in `extra_in_ports`.
-local function hold_extra_ports(launch)
-  local extra = rawget(_G, "extra_in_ports") or {}
-  if extra[1] then rfsm_rtt.gen_read_events(unpack(extra)) end -- raises if one is wrong
-  for i, real in ipairs(extra) do
-    launch.extra[i] = held_port.hold(real, real:info())
-  end
-end
-
--- Adds the port for events, unless it is one of the ports in `ports`. Returns what is
--- read after those: the port, or the function `getevents` of the chart in its place.
-local function add_event_port(launch, getevents)
-  if launch.ev_inport == nil and not getevents then
-    launch.ev_inport = launch.is_own or not held_port.of(launch.component, "events_in")
-  end
-  local name = launch.ev_inport == true and PORTS.ev_inport[2] or launch.ev_inport
-  for _, held in ipairs(launch.sources) do
-    if held.name == name then return nil end
-  end
-  return add_port(launch, "ev_inport") or getevents and port_of(getevents) or nil
-end
-
--- Sets the function `getevents` of the machine, which reads ports. If the launch has a
--- port for events, the function `getevents` of the chart is not called.
-local function add_getevents(launch, fsm, getevents)
-  local sources, make = launch.sources, launch.inputs and inputs().converter
-  for i, held in ipairs(sources) do
-    held.convert = make(launch, fsm, launch.inputs[i])
-  end
-  hold_extra_ports(launch)
-  sources[#sources + 1] = add_event_port(launch, getevents)
-  for _, held in ipairs(launch.extra) do sources[#sources + 1] = held end
-  local has_port = launch.inputs or launch.extra[1] or launch.ev_inport
-  launch.inputs, launch.sources = nil, nil
-  if not has_port then return end
-  fsm.getevents = rfsm_rtt.gen_read_events(launch.samples, unpack(sources))
-end
 
 -- Returns the machine, and the getevents of the chart.
 local function load_machine(launch)
@@ -195,84 +90,10 @@ local function load_machine(launch)
   return fsm, model.getevents
 end
 
--- Hooks --------------------------------------------------------------------------
+-- Launch -------------------------------------------------------------------------
 
--- Enters the machine without reading ports: the entry would discard most events.
-local function enter(launch, fsm)
-  if launch.enter ~= "start" or rfsm.get_sta_mode(fsm) ~= "inactive" then return end
-  local getevents = rawget(fsm, "getevents")
-  local function no_events() end
-  fsm.getevents = no_events
-  function launch.hear()
-    if fsm.getevents == no_events then fsm.getevents = getevents end
-    launch.hear = nil
-  end
-  local ok, problem = pcall(rfsm.step, fsm)
-  launch.hear()
-  if not ok then report(launch, problem) end
-end
-
--- Logs a warning if time events are late, since nothing wakes the component for them.
-local function warn_of_timers(launch)
-  local timeevent = not launch.timer and package.loaded.rfsm_timeevent
-  if not timeevent or launch.component:getOperation("getPeriod")() > 0 then return end
-  for _, tr in ipairs(rfsm.elements(launch.fsm, rfsm.is_trans)) do
-    for _, event in ipairs(tr.events or {}) do
-      if timeevent.is_timeevent(event) then
-        local text = "%s is late: a component without a period needs timer = true"
-        return launch.log("Warning", text:format(event))
-      end
-    end
-  end
-end
-
--- Makes RTT's hook `name` call the program's hook, if there is one, and then `ours`, if
--- given. With `always` it calls `ours` also when the program's hook fails or returns
--- false. It raises texts only, since OCL mutes the log of the whole process at an error
--- that is no text. RTT calls no hook inside of another one, but for the stopHook of a
--- component that stops itself.
-local function wrap(launch, name, ours, always)
-  local theirs = rawget(_G, name)
-  if theirs == launch.hooks[name] and theirs then return end
-  launch.theirs[name] = theirs
-  launch.hooks[name] = function()
-    local ok, result = true, true
-    if name ~= "stopHook" then notice_exception(launch) end
-    if theirs then ok, result = pcall(theirs) end
-    if ours and (always or ok and result ~= false) then ours() end
-    if not ok then error(rfsm.text_of(result), 0) end
-    return result
-  end
-  rawset(_G, name, launch.hooks[name])
-end
-
--- Wraps the hooks, but not the configureHook in which a component launches by itself.
-local function wrap_hooks(launch)
-  if not launch.is_own then
-    wrap(launch, "configureHook", function() launch:make_ready() end)
-  end
-  wrap(launch, "startHook", function()
-    launch:make_ready()
-    warn_of_timers(launch)
-    enter(launch, launch.fsm)
-  end)
-  wrap(launch, "cleanupHook", function() -- the ports may be gone
-    launch.is_ready = false
-    find_ports(launch, false)
-  end, true)
-  for _, name in ipairs { "activateHook", "updateHook", "errorHook", "stopHook" } do
-    if rawget(_G, name) then wrap(launch, name) end
-  end
-end
-
--- Makes the ports and attributes that are missing, and wraps hooks that a `lua_file`
--- has defined after the launch. This happens in configureHook, in startHook, and at the
--- first update after a launch or a clean-up.
-local function make_ready(launch)
-  find_ports(launch, true)
-  add_attributes(launch, ATTRIBUTES)
-  wrap_hooks(launch)
-  launch.is_ready = true
+local function run(load, source, name)
+  if source then assert(load(source, name))() end
 end
 
 -- The name of the global function that RTT's EEHook calls at each update. RTT ends the
@@ -290,7 +111,7 @@ local function new_hook(launch, trigger)
   launch.hook, launch.thread = hook, thread
   set_globals { eehook = hook, [HOOK] = function()
     if launch.hook and not halt:tolua() then
-      notice_exception(launch)
+      launch:notice_exception()
       return trigger()
     end
     halted:assign(true)
@@ -304,117 +125,47 @@ local function new_hook(launch, trigger)
   return hook
 end
 
--- Returns the global `trigger` of a service without a hook. A callback may call it,
--- too, so a call that finds a step under way reports that, and takes none.
-local function new_outer_trigger(launch, trigger)
-  return function() return notice_exception(launch) or trigger() end
+-- Makes what an update calls. Returns the function `trigger` of the launch.
+local function new_trigger(launch)
+  local update = require "rfsm.rtt.update"
+  launch.notice_exception, launch.report = update.notice_exception, update.report
+  launch.counted, launch.meter = update.counted, update.new_meter(launch)
+  local trigger = update.new_trigger(launch, launch.fsm)
+  if launch.is_component or launch.eehook then return trigger end
+  -- a callback may call it, too: a step that is under way is reported, none is taken
+  return function() return launch:notice_exception() or trigger() end
 end
 
--- Launch -------------------------------------------------------------------------
-
-local function run(load, source, name)
-  if source then assert(load(source, name))() end
-end
-
--- Makes the deployer, which must be a peer, load a timer component. The timer component
--- writes to its port when a time has passed.
-local function add_timer(launch)
-  if not launch.timer then return end
-  local target, name = launch.component, launch.deployer or "Deployer"
-  local found, deployer = pcall(target.getPeer, target, name)
-  if not found then
-    error(("timer: a deployer that is a peer of '%s' expected, there is no '%s'")
-      :format(target:getName(), name), 0)
-  end
-  launch.timer = target:getName() .. "_timer"
-  if pcall(target.getPeer, target, launch.timer) then return end
-  local load = deployer:getOperation("loadComponent")
-  if not load(launch.timer, "OCL::TimerComponent") then
-    error("timer: the deployer does not load '" .. launch.timer .. "'", 0)
-  end
-  launch.unload_timer = function()
-    deployer:getPeer(launch.timer):stop()
-    deployer:getOperation("unloadComponent")(launch.timer)
-  end
-  local timer = deployer:getPeer(launch.timer)
-  target:addPeer(timer)
-  timer:configure()
-  timer:start()
-end
-
--- Adds the ports for FQN, events and timer; returns the function that writes the FQN.
-local function add_outputs(launch)
-  local fqn, out = add_port(launch, "fqn_port"), add_port(launch, "ev_outport")
-  add_port(launch, "timer")
-  add_inputs(launch)
-  local write_fqn = rfsm_rtt.gen_write_fqn(fqn)
-  launch.emit = out and rfsm_rtt.gen_raise_event(out)
-  set_globals { setfqn = write_fqn, emit_event = launch.emit }
-  return write_fqn
-end
-
--- Has the attribute `rfsm_state` follow the active leaf, as a number, because OCL's
--- reporters write a text with a column for each letter. The log has the list.
-local function number_states(launch, fsm)
-  local variable, numbers, texts = launch.variables.rfsm_state, {}, { "0 <none>" }
-  for i, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
-    numbers[leaf], texts[i + 1] = i, ("%d %s"):format(i, leaf._fqn)
-  end
-  launch.rtt.logl("Info", ("rfsm.rtt: rfsm_state of '%s': %s"):format(
-    launch.component:getName(), concat(texts, ", ")))
-  local last = 0
-  local follow = rfsm.borrows(function(machine)
-    local number = numbers[machine._act_leaf] or 0
-    if number ~= last then variable:assign(number) end
-    last = number
-  end)
-  variable:assign(0)
-  rfsm.post_step_hook_add(fsm, follow)
-  rfsm.reset_hook_add(fsm, follow)
-end
-
--- Connects the machine with its ports. FQNs are converted to Variables once, here.
-local function connect(launch, fsm, getevents, write_fqn)
-  rfsm.post_step_hook_add(fsm, write_fqn)
-  local emit = launch.emit
-  if emit then rfsm.set_emit(fsm, function(name) emit(name) end) end -- no data
-  for _, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
-    launch.ports.fqn_port.samples[leaf._fqn] =
-      launch.rtt.Variable.new("string", leaf._fqn)
-  end
-  add_getevents(launch, fsm, getevents)
-  add_attributes(launch, ATTRIBUTES)
-  number_states(launch, fsm)
-  if launch.is_component then return end
-  add_attributes(launch, update.OF_SERVICE)
-  launch.variables.rfsm_halted:assign(not launch.eehook)
-end
-
-local function set_up(launch)
-  if launch.pool then update.enlarge_pool(launch, launch.pool) end
-  run(loadfile, launch.prefile)
-  run(loadstring, launch.prestr, "=prestr")
-  add_timer(launch)
-  local write_fqn = add_outputs(launch)
-  launch.stage = "the chart is loaded"
-  collect()
-  local fsm, getevents = load_machine(launch)
-  launch.stage = "the machine is connected"
-  collect()
-  connect(launch, fsm, getevents, write_fqn)
-  launch.fsm, launch.meter = fsm, update.new_meter(launch)
-  local trigger = update.new_trigger(launch, fsm)
-  local by_hand = not (launch.is_component or launch.eehook)
-  set_globals { fsm = fsm,
-    trigger = by_hand and new_outer_trigger(launch, trigger) or trigger }
+-- Has RTT call the machine. Returns the hook that the launch needs; nil if none.
+local function connect(launch, getevents, write_fqn)
+  require("rfsm.rtt.hooks").connect(launch)
+  forget_stage()
+  require("rfsm.rtt.wiring").connect(launch, getevents, write_fqn)
+  forget_stage()
+  local trigger, fsm = new_trigger(launch), launch.fsm
+  forget_stage()
+  local hooks = require "rfsm.rtt.hooks"
+  set_globals { fsm = fsm, trigger = trigger }
   if launch.is_component and not rawget(_G, "updateHook") then
-    wrap(launch, "updateHook", trigger)
+    hooks.wrap(launch, "updateHook", trigger)
   end
   run(loadfile, launch.postfile)
   run(loadstring, launch.poststr, "=poststr")
-  fsm.err = update.counted(launch, fsm.err)
-  if launch.is_component then wrap_hooks(launch) end
+  fsm.err, launch.counted = launch:counted(fsm.err), nil
+  if launch.is_component then hooks.wrap_all(launch) end
   return launch.eehook and new_hook(launch, trigger) or nil
+end
+
+local function set_up(launch)
+  run(loadfile, launch.prefile)
+  run(loadstring, launch.prestr, "=prestr")
+  local write_fqn = require("rfsm.rtt.wiring").add_outputs(launch)
+  launch.stage = "the chart is loaded"
+  forget_stage()
+  local fsm, getevents = load_machine(launch)
+  launch.fsm, launch.stage = fsm, "the machine is connected"
+  collect()
+  return connect(launch, getevents, write_fqn)
 end
 
 -- Returns why nothing can be launched in this Lua; nil if it can.
@@ -479,7 +230,7 @@ end
 
 -- Adds the fields that a launch needs besides its settings.
 local function begin(launch)
-  local rtt = package.loaded.rtt
+  local rtt, update = package.loaded.rtt, require "rfsm.rtt.update"
   launch.rtt, launch.component = rtt, rtt.getTC()
   launch.hooks, launch.theirs = {}, {}
   launch.ports_at, launch.ports, launch.extra = launch.ports, {}, {}
@@ -488,8 +239,8 @@ local function begin(launch)
   launch.counts = { rfsm_errors = 0, rfsm_failures = 0, rfsm_overruns = 0 }
   launch.is_ready = launch.is_own or not launch.is_component
   launch.log, launch.flush, launch.log_as = update.new_log(rtt)
-  launch.make_ready, launch.forget = make_ready, forget
-  launch.undo, launch.finish = undo, update.finish
+  launch.forget, launch.undo, launch.finish = forget, undo, update.finish
+  if launch.pool then update.enlarge_pool(launch, launch.pool) end
 end
 
 --- Launch a machine in this Lua; return its hook, which the caller must enable last, or
@@ -501,9 +252,9 @@ function component.start(launch)
   local problem = obstacle(launch)
   if problem then error(launch.where .. problem, 0) end
   launch.stage = "the launch begins"
-  local is_harder, usual = false, nil
   if rawget(_G, "tlsf") then -- Lua 5.5 has no such option
-    is_harder, usual = pcall(collectgarbage, "setstepmul", 10000)
+    local ok, usual = pcall(collectgarbage, "setstepmul", 10000)
+    launch.stepmul = ok and usual
   end
   local ok, result = pcall(function()
     begin(launch)
@@ -513,9 +264,8 @@ function component.start(launch)
     if rfsm_rtt.launched == launch then return hook end
     error("another launch began inside of it", 0)
   end)
-  if is_harder then collectgarbage("setstepmul", usual) end
   rfsm_rtt.forget_modules()
-  if not ok then update.fail(launch, result) end
+  if not ok then fail(launch, result) end
   return result
 end
 

@@ -10,7 +10,6 @@ local rfsm = require "rfsm"
 
 local collectgarbage, debug, error = collectgarbage, debug, error
 local getmetatable = getmetatable
-local ipairs = ipairs
 local pcall, rawget, require, select = pcall, rawget, require, select
 local setmetatable, type = setmetatable, type
 local huge, remove = math.huge, table.remove
@@ -91,10 +90,20 @@ function update.new_meter(launch)
   end
 end
 
+-- Has the collector work as before the launch, unless more than a part of the pool is
+-- in use: what is left has no room for much garbage.
+local function relax(launch, part)
+  collect()
+  local used, _, size = usage()
+  if launch.stepmul and used <= part * size then
+    collectgarbage("setstepmul", launch.stepmul)
+  end
+end
+
 --- Undo a launch that has failed, and raise the reason. If memory was short, the
 -- message also has the stage of the launch and the memory in use.
 function update.fail(launch, problem)
-  collect() -- otherwise undoing would fail, too
+  relax(launch, 1) -- the garbage goes: otherwise undoing would fail, too
   if launch.undo then launch:undo() end
   local text = rfsm.text_of(problem)
   if text:find("not enough memory", 1, true) then
@@ -109,10 +118,13 @@ local fail = update.fail
 function update.finish(launch)
   collect()
   launch.stage = "the machine is prepared"
-  local ok, problem = pcall(rfsm.prepare, launch.fsm)
+  local prepare = rfsm.prepare -- loads a file, which leaves garbage
+  collect()
+  local ok, problem = pcall(prepare, launch.fsm)
   require("rfsm.rtt").forget_modules() -- prepare, too
   if not ok then fail(launch, problem) end
   launch.undo, launch.finish = nil, nil
+  relax(launch, 0.9)
   launch.env, launch.prestr, launch.poststr = nil, nil, nil -- they may be large
   local is_stripped = debug.getinfo(rfsm.init, "S").source == "=?"
   launch.log("Info", ("rfsm.rtt: '%s' is launched in '%s': %s%s%s"):format(
@@ -120,35 +132,6 @@ function update.finish(launch)
     rawget(_G, "tlsf") and ", without rfsm.fast" or "",
     is_stripped and ", stripped" or ""))
   launch.meter()
-end
-
--- Attributes ---------------------------------------------------------------------
-
---- Name of an attribute -> its type. OF_SERVICE: attributes that only a service adds.
-update.ATTRIBUTES = {
-  rfsm_errors = "uint", rfsm_overruns = "uint", rfsm_failures = "uint",
-  rfsm_live = "double", rfsm_peak = "double", rfsm_state = "uint",
-}
-update.OF_SERVICE = { rfsm_halt = "bool", rfsm_halted = "bool" }
-
--- Adds the attributes that the component does not have. Their values are Variables,
--- which stay when `rttlib.tc_cleanup` removes the attributes. An attribute that another
--- service has added is shared with it.
-function update.add_attributes(launch, types)
-  for _, name in ipairs(rfsm.sorted_keys(types)) do
-    local ok, attribute = pcall(function()
-      return launch.component:getAttribute(name)
-    end)
-    if not ok then
-      attribute = launch.rtt.Attribute.new(types[name], name)
-      launch.component:addAttribute(attribute)
-      launch.attributes[#launch.attributes + 1] = name
-    end
-    local value, before = attribute:getRaw(), launch.variables[name]
-    if launch.is_own and not before then value:assign(0) end -- a new launch
-    if before and not ok then value:assign(before) end
-    launch.variables[name] = value
-  end
 end
 
 -- Adds one to the count in an attribute.
@@ -244,7 +227,7 @@ local report = update.report
 -- inside of a step, since such a step looks the same. Return true if one was ended.
 function update.notice_exception(launch)
   local fsm = launch.fsm
-  if not (fsm and rfsm.note_cut(fsm)) then return false end
+  if not fsm or fsm._phase == "idle" or not rfsm.note_cut(fsm) then return false end
   if launch.hear then launch.hear() end
   launch.has_failed = true
   report(launch, "an exception of C++ has ended a step, which goes on behind the "
