@@ -186,6 +186,14 @@ describe("a property of regions", function()
       result.properties[2].holds, result.properties[3].holds })
   end)
 
+  it("knows that regions are never joined if one of them has no end", function()
+    local ends = ring(2, "e_x", { s2 = state { final = true } })
+    local result = rfsm_checks.explore(chart({ ends, ring(2, "e_y") }, {
+      [3] = trans { src = "par", tgt = "off", events = { "e_off", "e_done" } } }))
+    assert.equal(0, #result.findings)
+    assert.equal(result.transitions, result.taken)
+  end)
+
   it("owes nothing while the machine is not entered", function()
     local function may() return true end
     local model = chart({ ring(2, "e_x"), ring(2, "e_y") },

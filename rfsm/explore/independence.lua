@@ -11,7 +11,7 @@
 --
 -- A *bound* region is in each way that has the machine around it. A region is bound if
 -- it has a callback in `run` or a guard with a rule, if it has timers and the machine
--- or a property has times, too, or if its end decides whether its state is done. A
+-- or a property has times, too, or if a transition waits until its state is done. A
 -- property is judged on a walk that has all regions that the property names.
 --
 -- @module rfsm.explore.independence
@@ -70,11 +70,6 @@ local function add_inner(traits, inner)
   traits.is_bound = traits.is_bound or inner.is_bound
 end
 
--- Does a state end when all of its regions have ended?
-local function is_joinable(leaf)
-  return rfsm.names_done(leaf) and rfsm.can_be_done(leaf)
-end
-
 -- Returns the traits of each part. A region inside of a region is bound if it has
 -- timers, even if no other part has timers.
 local function traits_of(own, is_timed, are_free)
@@ -86,7 +81,7 @@ local function traits_of(own, is_timed, are_free)
   for i = #own.parts, 2, -1 do
     local part = own.parts[i]
     if part.owner.owner then add_inner(traits[part.owner], traits[part]) end
-    if is_joinable(part.leaf)
+    if rfsm.names_done(part.leaf)
       or traits[part].has_timer and (is_timed or part.owner.owner) then
       traits[part].is_bound = true
     end
