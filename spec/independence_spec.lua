@@ -131,6 +131,16 @@ describe("regions that nothing joins", function()
   end)
 end)
 
+it("a run without an end is the machine's, whatever regions are looked at", function()
+  require "rfsm.always"
+  local model = chart({ ring(2, "e_x"), ring(2, "e_y") }, {
+    [4] = trans { src = "par", tgt = "par", always = true } })
+  for _, multiply in ipairs { false, true } do
+    local finding = rfsm_checks.explore(model, { multiply = multiply }).findings[1]
+    assert.same({ "endless", "root.par" }, { finding.code, finding.place })
+  end
+end)
+
 describe("a property of regions", function()
   local FLAGS = { f = { on = { "entry root.par.r1.s2" },
     off = { "exit root.par.r1.s2" } } }

@@ -249,9 +249,8 @@ local function find_endless(walk, findings)
   local ends = are_idle and is_idle or graph.can_reach(walk, is_idle, true)
   for number = 2, walk.expanded do
     if not ends[number] then
-      local leaves, text = leaves_of(walk, number)
-      return add_run(walk, findings, "endless", leaves[1] and leaves[1].state, text,
-        "run never becomes idle from this configuration", number)
+      return add_run(walk, findings, "endless", walk:configuration(number)[1].leaf,
+        own_leaf(walk, number), "run never becomes idle from this configuration", number)
     end
   end
   if step then
