@@ -128,8 +128,6 @@ return function(core, engine)
     end
   end
 
-  local judge
-
   -- Tells what became of an event in a machine, and notes it for the parent machine. An
   -- event that did not come from there was sent to the region alone. `use` is false if
   -- the event was not used.
@@ -139,18 +137,16 @@ return function(core, engine)
       note.is_told = true
       engine.tell(fsm, fsm._fate_hooks, event, use.fate, use)
     end
-    if around and around._fates then
-      close_copies(fsm, event, use, note)
-      judge(around._fates)
-    end
+    if around and around._fates then close_copies(fsm, event, use, note) end
     if not (note.is_known or note.is_told) then
       note.is_told = true
       tell_discarded(fsm, event)
     end
   end
 
-  -- Concludes on the events that a region has used or all regions have discarded.
-  function judge(own)
+  -- Concludes on the events that a region has used or all regions have discarded. Each
+  -- iteration ends with it, so regions need not tell the machine that steps them.
+  local function judge(own)
     local entries, i = own.entries, 1
     while entries[i] do
       local entry = entries[i]

@@ -123,6 +123,21 @@ describe("a fate hook", function()
         "root e_in forwarded root.par region", "root e_in discarded" }, lines)
     end)
 
+  it("is told of the second of two that are the same, in regions of regions", function()
+    local inner = state { x = state {}, trans { src = "initial", tgt = "x" } }
+    local fsm, lines = followed { info = false, warn = false, read = "one",
+      par = rfsm.seqand { step = 2,
+        a = state { p = rfsm.seqand { s = inner }, trans { src = "initial", tgt = "p" } },
+        b = state { y = state {}, trans { src = "initial", tgt = "y" },
+          trans { src = "y", tgt = "y", events = { "e_go" } } } },
+      trans { src = "initial", tgt = "par" } }
+    send(fsm, "e_go", "e_go")
+    table.sort(lines)
+    assert.same({ "root e_go forwarded root.par region",
+      "root e_go forwarded root.par region", "root.par.b e_go taken root.y",
+      "root.par.b e_go taken root.y" }, lines)
+  end)
+
   it("is told what the machine keeps, whatever a region does with it", function()
     local model = parallel()
     model.par.defer = { "e_in", "e_no" }
@@ -150,6 +165,28 @@ describe("a fate hook", function()
     rfsm.fate_hook_add(fsm, hook)
     assert.is_true(rfsm.fate_hook_rm(fsm, hook))
     assert.same(before, { fsm._path_hooks, fsm._fates, #(fsm._post_hooks or {}) })
+  end)
+
+  it("is told as long as another one is there, of whichever kind", function()
+    local function fate(fsm, f, word)
+      rfsm["fate_hook_" .. word](fsm, f)
+    end
+    local function watch(fsm, f, word)
+      rfsm["watch_hook_" .. word](fsm, "discarded", f)
+    end
+    for _, kinds in ipairs { { fate, fate }, { fate, watch }, { watch, fate } } do
+      local told, fsm = 0, helper.init(state(parallel()))
+      local function other() end
+      local function hook(_, event) told = told + (event == "e_unknown" and 1 or 0) end
+      rfsm.run(fsm)
+      kinds[1](fsm, hook, "add")
+      kinds[2](fsm, other, "add")
+      kinds[2](fsm, other, "rm")
+      send(fsm, "e_unknown")
+      assert.equal(1, told)
+      kinds[1](fsm, hook, "rm")
+      assert.is_nil(fsm._fates)
+    end
   end)
 end)
 

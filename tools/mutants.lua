@@ -216,9 +216,13 @@ local function ends_of_arguments(tokens, i)
   return ends
 end
 
--- Swaps the first two arguments of a call.
+local SYMMETRIC = { rawequal = true, max = true, min = true }
+
+-- Swaps the first two arguments of a call, if that may make a difference.
 local function swap_arguments(token, tokens, i, add, text)
-  if token.text ~= "(" or not is_call(tokens, i) then return end
+  if token.text ~= "(" or not is_call(tokens, i) or SYMMETRIC[tokens[i - 1].text] then
+    return
+  end
   local ends = ends_of_arguments(tokens, i)
   if #ends < 2 then return end
   local from, to = tokens[i + 1].from, tokens[ends[2] - 1].to

@@ -51,7 +51,11 @@ local function is_engine(source, is_caller)
   return is_of_engine(source)
 end
 
-local function raise(is_right, at, value, f, ...)
+--- Calls f(...) and raises `value` at its VM instruction number `at`, if
+--- is_right(source, is_caller) is true of the functions that are under way. Returns
+--- whether there is such an instruction, whether the value was raised, and what pcall
+--- returns.
+function interrupts.raise_where(is_right, at, value, f, ...)
   local is_reached, is_raised = false, false
   local function hook()
     debug.sethook()
@@ -64,9 +68,9 @@ local function raise(is_right, at, value, f, ...)
   return is_reached, is_raised, ok, failure
 end
 
---- Calls f(...) and raises `value` at its VM instruction number `at`, unless a callback
---- or an extension runs then. Returns whether there is such an instruction, whether the
---- value was raised, and what pcall returns.
+local raise = interrupts.raise_where
+
+--- The same, unless a callback or an extension runs.
 function interrupts.raise(...) return raise(is_engine, ...) end
 
 local function always() return true end

@@ -2,8 +2,11 @@
 -- them observed, beside what follows from the definition: the events of each iteration,
 -- its path, what waits before and after, what awaits have received, and what became of
 -- the events in regions. Time goes on, events are counted, and half of the machines are
--- strict. An interrupt anywhere takes at most the fate that is being told: snapshots
--- behind it are those of a run without.
+-- strict. An interrupt takes at most the fate that is being told: snapshots behind it
+-- are those of a run without. It comes anywhere but where other events are current
+-- together behind it: in the cycle of regions, which ends then, and between the two
+-- iterations of a step, or in the second one before its search, since the step has one
+-- more then.
 
 local charts = require "spec.support.charts"
 local coverage = require "rfsm.observe.coverage"
@@ -92,14 +95,14 @@ function Judge:decide(event, fate)
   for _, group in ipairs(taken) do
     group.open, group.is_used = group.open - 1, group.is_used or fate ~= nil
   end
-  if self.around then self.around:settle() end
   if fate or taken[1] then return end
   local outermost = self
   while outermost.around do outermost = outermost.around end
   outermost:note(event, "discarded")
 end
 
--- Decides on the events that a region has used, or that none can use any more.
+-- Decides on the events that a region has used, or that none can use any more; at the
+-- end of an iteration, when all copies are known.
 function Judge:settle()
   for i = #self.groups, 1, -1 do
     local group = self.groups[i]
@@ -322,6 +325,12 @@ local function first_difference(snaps, others)
   end
 end
 
+-- Is an interrupt behind which the same events are current together?
+local function is_plain(fsm)
+  if fsm._phase == "doo" then return not rfsm.regions(fsm._act_leaf)[1] end
+  return not rfsm.is_free(fsm) or fsm._phase == "finish"
+end
+
 -- Interrupts a run anywhere in one step. Returns what is wrong.
 local function interrupt(seed, expected, snaps)
   local random = new_random(seed + 2)
@@ -330,7 +339,8 @@ local function interrupt(seed, expected, snaps)
   local others = run(fsm, clock, seed, function(i, f, ...)
     if i ~= step then return f(...) end
     local ok, failure
-    local results = { interrupts.raise_anywhere(at, "interrupted!", f, ...) }
+    local results = { interrupts.raise_where(function() return is_plain(fsm) end, at,
+      "interrupted!", f, ...) }
     is_raised, ok, failure = results[2], results[3], results[4]
     if not ok and failure ~= "interrupted!" then error(failure, 0) end
   end)
