@@ -217,8 +217,10 @@ local function before_path(fsm, path)
   fsm._deferred.at = 1
 end
 
+-- The post step hook. A machine that would recall an event next is not idle.
 local function end_iteration(fsm, events)
   if not fsm._deferred.is_done then keep_others(fsm, events) end
+  if fsm._outcome == "idle" and find_recall(fsm) then fsm._outcome = "counted" end
 end
 
 local function list_kept(fsm)

@@ -47,6 +47,19 @@ end
 
 local function at(fsm) return rfsm.get_actleaf_fqn(fsm) end
 
+it("a machine is not idle while it would recall another event", function()
+  local guarded = rfsm.named "e_job"
+  local fsm = helper.started(state { info = false,
+    a = state { defer = { guarded } }, b = state {},
+    trans { src = "initial", tgt = "a" },
+    trans { src = "a", tgt = "b", events = { guarded },
+      guard = function(_, _, event) return event.n == 3 end } })
+  rfsm.send_events(fsm, { name = "e_job", n = 1 }, { name = "e_job", n = 2 },
+    { name = "e_job", n = 3 })
+  assert.is_true(rfsm.run(fsm))
+  assert.equal("root.b", at(fsm))
+end)
+
 it("a post step hook that fails keeps no event from being deferred, or told", function()
   local told = {}
   local fsm = helper.started(rfsm.state { info = false,
