@@ -127,7 +127,8 @@ describe("a fate hook", function()
     local inner = state { x = state {}, trans { src = "initial", tgt = "x" } }
     local fsm, lines = followed { info = false, warn = false, read = "one",
       par = rfsm.seqand { step = 2,
-        a = state { p = rfsm.seqand { s = inner }, trans { src = "initial", tgt = "p" } },
+        a = state { p = rfsm.seqand { s = inner },
+          trans { src = "initial", tgt = "p" } },
         b = state { y = state {}, trans { src = "initial", tgt = "y" },
           trans { src = "y", tgt = "y", events = { "e_go" } } } },
       trans { src = "initial", tgt = "par" } }

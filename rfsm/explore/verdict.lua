@@ -249,8 +249,9 @@ local function find_endless(walk, findings)
   local ends = are_idle and is_idle or graph.can_reach(walk, is_idle, true)
   for number = 2, walk.expanded do
     if not ends[number] then
-      return add_run(walk, findings, "endless", walk:configuration(number)[1].leaf,
-        own_leaf(walk, number), "run never becomes idle from this configuration", number)
+      local leaf = walk:configuration(number)[1].leaf
+      return add_run(walk, findings, "endless", leaf, own_leaf(walk, number),
+        "run never becomes idle from this configuration", number)
     end
   end
   if step then
