@@ -12,7 +12,6 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
-local alphabet = require "rfsm.shared.alphabet"
 local match = require "rfsm.shared.match"
 
 local insert, ipairs, min = table.insert, ipairs, math.min
@@ -29,7 +28,7 @@ local MOST = 64 -- events that a machine keeps, if `defer` of the state has no `
 ---@field count integer the number of events kept before that iteration
 ---@field plan rfsm.defer.Plan|false the latest change of the current events
 ---@field told table<string, boolean> the warnings that were given
----@field known rfsm.Alphabet|false the alphabet of the machine
+---@field takers rfsm.Transition[]|false those of the machine and its regions
 
 --- What the current events of an iteration become: to be done again after an interrupt.
 ---@class rfsm.defer.Plan
@@ -45,7 +44,7 @@ local MOST = 64 -- events that a machine keeps, if `defer` of the state has no `
 local function reset(fsm)
   fsm._again = false
   fsm._deferred = { list = {}, at = 1, is_done = false, turn = false, count = 0,
-    plan = false, told = {}, known = false }
+    plan = false, told = {}, takers = false }
 end
 
 local function warn(fsm, state, event, text)
@@ -68,9 +67,9 @@ end
 
 local function keep(fsm, state, event)
   local own = fsm._deferred
-  own.known = own.known or alphabet.of_all(fsm)
+  own.takers = own.takers or match.transitions_of(fsm)
   local list = own.list
-  if not alphabet.may_take(own.known, event) then
+  if not match.may_be_taken(own.takers, event) then
     warn(fsm, state, event, "'%s' is deferred, but no transition takes it")
   end
   if #list >= (state._defers.max or MOST) then
@@ -322,7 +321,7 @@ insert(rfsm.preproc, 1, function(fsm, merged)
     problems[#problems + 1] = prepare_state(fsm, state)
   end
   if fsm._deferred then -- merged: there are more events
-    fsm._deferred.known, fsm._deferred.at = false, 1
+    fsm._deferred.takers, fsm._deferred.at = false, 1
   end
   return problems
 end)

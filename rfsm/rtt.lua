@@ -103,7 +103,7 @@ local NOT_NEEDED = {
 }
 
 -- Functions of rfsm.prepare that the core loads again if somebody reads them.
-local USED_ONCE = { "note_cut", "prepare", "save_memory", "set_emit" }
+local USED_ONCE = { "prepare", "save_memory", "set_emit" }
 
 --- Forget the modules that a launch has loaded, so that they become garbage. A launch
 -- also calls this first: Lua 5.1 never loads a module again if loading it once failed.

@@ -289,7 +289,7 @@ local function check_reaction(state, reaction, known, add)
     elseif tr then
       add("idle-reaction", state, ("%s '%s' has no effect, %s takes it"):format(
         reaction.word, rfsm.event_text(event), rfsm.location_of(tr):match("root.*$")))
-    elseif not alphabet.may_take(known, event) then
+    elseif not match.may_be_taken(known.transitions, event) then
       add("idle-reaction", state, ("%s '%s', but no transition takes it%s"):format(
         reaction.word, rfsm.event_text(event), near_event(event, known)))
     end
@@ -301,7 +301,10 @@ local function check_reactions(fsm, add)
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
     local _, shown = rfsm.reactions(fsm, state)
     for _, reaction in ipairs(shown) do
-      known = known or alphabet.of_all(fsm)
+      if not known then
+        known = alphabet.of_all(fsm)
+        known.transitions = match.transitions_of(fsm)
+      end
       check_reaction(state, reaction, known, add)
     end
   end

@@ -227,7 +227,7 @@ local report = update.report
 -- inside of a step, since such a step looks the same. Return true if one was ended.
 function update.notice_exception(launch)
   local fsm = launch.fsm
-  if not fsm or fsm._phase == "idle" or not rfsm.note_cut(fsm) then return false end
+  if not (fsm and rfsm.note_cut(fsm)) then return false end
   if launch.hear then launch.hear() end
   launch.has_failed = true
   report(launch, "an exception of C++ has ended a step, which goes on behind the "

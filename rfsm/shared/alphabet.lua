@@ -3,7 +3,6 @@
 -- @module rfsm.shared.alphabet
 -- @license BSD-3-Clause
 
-local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 
@@ -15,8 +14,7 @@ local alphabet = {}
 ---@class rfsm.Alphabet
 ---@field list any[] events that transitions name, in the order of the tree
 ---@field reactions any[] further events, to which extensions react
----@field takers function[] predicates among the events of transitions
----@field predicates function[] these, and those among the events of extensions
+---@field predicates function[] predicates among the events of both
 ---@field set table<any, boolean> all events and predicates of the three lists
 ---@field takes_any boolean does a state have a transition that any event triggers?
 
@@ -36,9 +34,6 @@ local function add_transition(known, tr)
   local is_any = own[1] == nil and tr.always ~= true
   if is_any and rfsm.is_state(tr.src) then known.takes_any = true end
   add_all(known, known.list, own)
-  for _, event in ipairs(own) do
-    if type(event) == "function" then known.takers[#known.takers + 1] = event end
-  end
 end
 
 local function add_machine(known, fsm)
@@ -51,7 +46,7 @@ local function add_machine(known, fsm)
 end
 
 local function collect(machines)
-  local known = { list = {}, reactions = {}, takers = {}, predicates = {}, set = {},
+  local known = { list = {}, reactions = {}, predicates = {}, set = {},
     takes_any = false }
   for _, at in ipairs(machines) do add_machine(known, at.machine) end
   return known
@@ -80,16 +75,6 @@ end
 ---@return boolean
 function alphabet.has(known, event)
   return known.set[event] or accept(known.predicates, event)
-end
-
---- May a transition take an event, or one that a predicate accepts?
----@param known rfsm.Alphabet
----@param event any
----@return boolean
-function alphabet.may_take(known, event)
-  local is_free = type(event) == "function" and not rfsm.event_name(event)
-  return known.takes_any or is_free or accept(known.takers, event)
-    or match.has(known.list, event)
 end
 
 --- Does a machine take an event only with data?

@@ -105,6 +105,41 @@ function match.triggers(tr, event)
   return false
 end
 
+-- May a transition take an event, or the events of a predicate? Predicates of the user
+-- are not called; they count as accepting any event.
+local function may_take(tr, event, name)
+  if match.begins_on_any(tr) or match.names(tr, event) then return true end
+  for _, other in ipairs(tr.events) do
+    local own = rfsm.event_name(other)
+    if type(other) == "function" and (not own or own == name) then return true end
+  end
+  return false
+end
+
+--- List the transitions of a machine and its regions.
+function match.transitions_of(fsm)
+  local list = {}
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    for _, tr in ipairs(rfsm.elements(at.machine, rfsm.is_trans)) do
+      list[#list + 1] = tr
+    end
+  end
+  return list
+end
+
+--- May one of some transitions take an event, or one that a predicate accepts?
+---@param transitions rfsm.Transition[]
+---@param event any
+---@return boolean
+function match.may_be_taken(transitions, event)
+  local name = rfsm.event_name(event) or rfsm.name_with_data(event)
+  if type(event) == "function" and not name then return true end
+  for i = 1, #transitions do
+    if may_take(transitions[i], event, name) then return true end
+  end
+  return false
+end
+
 --- Can a path that begins with the transition be taken on some events? Guards count as
 --- true, and a predicate accepts no event.
 ---@param tr rfsm.Transition
