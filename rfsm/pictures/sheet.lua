@@ -27,7 +27,7 @@ local sheet = {}
 ---@field kids table<integer, rfsm.pictures.Shape> the shapes of the composites in it
 ---@field deal integer[]|"plain"|"turned" the row of each node, or no rows
 ---@field key string the same for shapes with the same rows
----@field crossings number in the level and in its kids; huge if a line covers a box
+---@field crossings? number in the level and in its kids; huge if a line covers a box
 
 -- Makes a shape the level of its composite.
 local function put(shape)
@@ -81,15 +81,18 @@ local function lines_in(level)
   return list
 end
 
--- Counts the crossings in a shape; huge if a line covers a box.
-local function count_crossings(shape)
+-- Returns the number of crossings in a shape; huge if a line covers a box. It is counted
+-- where it is needed, since most shapes are out of question by their size.
+local function crossings_of(shape)
+  if rawget(shape, "crossings") then return shape.crossings end
   local list = lines_in(shape)
-  for _, line in ipairs(list) do
-    if is_covering(shape, line) then return huge end
+  shape.crossings = order.any(list, function(line)
+    return is_covering(shape, line)
+  end) and huge or choice.count_crossings(list)
+  for _, kid in order.each(shape.kids) do -- any order
+    shape.crossings = shape.crossings + crossings_of(kid)
   end
-  local count = choice.count_crossings(list)
-  for _, kid in order.each(shape.kids) do count = count + kid.crossings end -- any order
-  return count
+  return shape.crossings
 end
 
 -- Aims ------------------------------------------------------------------------
@@ -112,8 +115,10 @@ local function best_for(aim, level, size, key)
   local first, best, least = level.kept.first, level.kept.first, huge
   for _, shape in ipairs(level.shapes) do
     local misfit = shape.key == key and -huge or MISFITS[aim](shape, size)
-    local is_clear = shape.crossings < huge and shape.crossings <= first.crossings
-    if is_clear and misfit < least - 0.001 then best, least = shape, misfit end
+    if misfit < least - 0.001 and crossings_of(shape) < huge
+      and crossings_of(shape) <= crossings_of(first) then
+      best, least = shape, misfit
+    end
   end
   return best
 end
@@ -137,7 +142,7 @@ local function keep_best(level, size, keys)
     kept[aim] = best_for(aim, level, size, keys[same])
     keys[same] = keys[same] or kept[aim].key
   end
-  if kept.former and kept.former.crossings == huge then kept.former = kept.first end
+  if kept.former and crossings_of(kept.former) == huge then kept.former = kept.first end
 end
 
 -- Deals: the rows of a level --------------------------------------------------
@@ -236,10 +241,7 @@ local function prepare(shape)
 end
 
 local function lay_out(jobs, run)
-  return jobs[1] and graphs.lay_out(jobs, run, prepare, function(shape)
-    rows.draw(shape)
-    shape.crossings = count_crossings(shape)
-  end)
+  return jobs[1] and graphs.lay_out(jobs, run, prepare, rows.draw)
 end
 
 -- Lays out levels of one height in the shapes for some aims. The first shape of a level

@@ -17,7 +17,6 @@ local code = require "rfsm.shared.code"
 local files = require "rfsm.shared.files"
 local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
-local syntax = require "rfsm.shared.syntax"
 
 local _G, getmetatable, io, ipairs, math = _G, getmetatable, io, ipairs, math
 local rawequal, rawget, select = rawequal, rawget, select
@@ -42,13 +41,17 @@ local function keep_text(source, text)
   sources[source] = lines
 end
 
--- Returns the functions in some lines; an empty list if they cannot be parsed.
-local function functions_in(lines)
+-- Returns the function in some lines that is `f`, as the parser of luacheck finds it;
+-- nil if there is no parser. To load it takes as long as to load all else of a command,
+-- and few charts need it.
+local function parsed(lines, f)
+  local syntax = require "rfsm.shared.syntax"
+  if not syntax.is_there then return nil end
   if not lines.functions then
     local _, functions = syntax.parse((concat(lines, "\n"):gsub("^#[^\n]*", "")))
     lines.functions = functions or {}
   end
-  return lines.functions
+  return syntax.find(lines.functions, f)
 end
 
 --- Keep the text of a chunk that has no file, such as "=stdin".
@@ -145,7 +148,7 @@ local function text_in(lines, f, info)
   end)
   if not (has_names and text) then return nil end
   if select(2, text:gsub(FUNCTION, "")) < 2 then return text, false end
-  local own = syntax.is_there and syntax.find(functions_in(lines), f)
+  local own = parsed(lines, f)
   return own and own.text or text, not own
 end
 
