@@ -1,16 +1,12 @@
---- Choose the better layout of a chart: the layout of levels, or the plain layout.
---
--- In a layout of levels each composite is laid out by itself; in a plain layout the
--- whole chart is laid out at once. Fewer crossings win, then the layout of levels. This
--- never wins if its text is too small to read, and smaller than that of the other.
+--- Choose the best layout of a chart: few crossings, and text that can be read.
 --
 -- @module rfsm.pictures.choice
 -- @license BSD-3-Clause
 
 local lines = require "rfsm.pictures.lines"
 
+local huge, log, max, min = math.huge, math.log, math.max, math.min
 local ipairs, sort = ipairs, table.sort
-local max, min = math.max, math.min
 local tonumber = tonumber
 
 local choice = {}
@@ -79,60 +75,38 @@ function choice.scale(size, width, height)
     or scale
 end
 
--- Returns the scale of a picture on a sheet, at most READABLE: more is of no advantage.
-local function scale_of(layout, size)
-  return min(READABLE, choice.scale(size, layout.width, layout.height))
-end
-
-local MORE = 2 -- crossings: "much better" below
-
---- Return the better one of two layouts. If there was a former picture, the layout of
--- its kind wins, unless the other layout is much better.
----@param levels rfsm.pictures.Layout
----@param plain rfsm.pictures.Layout
----@param kind? "levels"|"plain"|"sheet" the layout of the former picture
----@param size rfsm.pictures.Size of the sheet
----@return rfsm.pictures.Layout
-function choice.of(levels, plain, kind, size)
-  if scale_of(levels, size) < scale_of(plain, size) then return plain end
-  local margin = kind == "plain" and -MORE or kind == "levels" and MORE or 0.5
-  return choice.count_crossings(levels.lines)
-    < choice.count_crossings(plain.lines) + margin and levels or plain
-end
-
 --- Is the text of a layout readable on a sheet?
 function choice.is_readable(layout, size)
   return choice.scale(size, layout.width, layout.height) >= READABLE
 end
 
-local LARGER, FIFTH = 1.02, 1.2 -- factors of the scale
+local MORE = 2 -- crossings: how many more than necessary there may be
+local TEXT = 14 -- crossings; text that is 15 % larger is worth MORE
 
---- Return the best of some shapes for a sheet that have no more than `most` crossings,
--- or two more if text that is not readable becomes a fifth larger; nil if none has
--- larger text than a layout.
-function choice.for_sheet(shapes, layout, size, most)
-  local best, scale = nil, LARGER * choice.scale(size, layout.width, layout.height)
-  for more = 0, MORE, MORE do
-    for _, shape in ipairs(shapes) do
-      local one = choice.scale(size, shape.width, shape.height)
-      local is_better = shape.crossings <= most + more and one > scale
-      if is_better then best, scale = shape, one end
-    end
-    if scale >= READABLE then break end
-    scale = FIFTH * scale
-  end
-  return best
+-- Returns how bad the text of a layout is on a sheet, in crossings. Text that is larger
+-- than just readable is of no advantage.
+local function text_cost(layout, size)
+  return TEXT * log(max(1, READABLE / choice.scale(size, layout.width, layout.height)))
 end
 
-local MUCH_LARGER = 1.15 -- "much better" for a shape: factor of the scale
-
---- Is the shape that a chart had in a former picture kept, although a shape or layout
--- may be better? It is, unless the other one, or a layout of `most` crossings, is much
--- better.
-function choice.keeps(former, other, size, most)
-  return former.crossings <= most + MORE
-    and choice.scale(size, other.width, other.height)
-    < MUCH_LARGER * choice.scale(size, former.width, former.height)
+--- Return the layout with few crossings and large text; of equal ones the first. The
+-- layout of the former picture, `former`, wins unless another one is much better. No
+-- layout has many more crossings than the best one of the first two.
+---@param layouts { width: number, height: number }[]
+---@param crossings_of fun(layout: table): number
+---@param size rfsm.pictures.Size of the sheet
+function choice.best(layouts, crossings_of, size, former)
+  local best, least = layouts[1], huge
+  local most = MORE + min(crossings_of(best), crossings_of(layouts[2] or best))
+  for _, layout in ipairs(layouts) do
+    local cost = text_cost(layout, size) - (layout == former and MORE or 0)
+    -- crossings are counted only where they matter
+    local crossings = cost < least and crossings_of(layout) or huge
+    if crossings <= most and cost + crossings < least then
+      best, least = layout, cost + crossings
+    end
+  end
+  return best
 end
 
 return choice

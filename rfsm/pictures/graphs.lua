@@ -290,7 +290,9 @@ end
 -- Returns the numbers in a text.
 local function numbers_in(text)
   local list = {}
-  for number in text:gmatch("[%d.e+-]+") do list[#list + 1] = number_of(number) end
+  for number in text:gmatch("[%d.e+-]+") do
+    list[#list + 1] = tonumber(number) or number_of(number) -- in most locales the same
+  end
   return list
 end
 
@@ -318,10 +320,6 @@ local function read_link(link, attributes)
   local line = graphs.line_of(attributes.pos)
   link.points, link.tip = line.points, line.tip
   link.label_at = attributes.lp and numbers_in(attributes.lp)
-  if link.label_at then
-    curves.attract(link.label_at, diagram.label_of(link.arrow), line.points,
-      link.level.direction == "TB" and 1 or 2)
-  end
 end
 
 local function read_node(level, id, attributes)

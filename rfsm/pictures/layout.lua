@@ -73,18 +73,22 @@ local function line_of(arrow, direction)
     lines.join(line, lines.moved(link.points, level.left, level.bottom, link.is_turned),
       axis)
     tip = link.has_head and place(link.tip) or tip
-    label = link.label_at and place(link.label_at) or label
+    if link.label_at then
+      lines.attract(link.label_at, diagram.label_of(arrow), link.points,
+        level.direction == "TB" and 1 or 2)
+      label = place(link.label_at)
+    end
   end
   return { points = line, tip = tip, label = label }
 end
 
 -- Returns the layout of a chart whose levels are laid out.
 local function layout_of(chart, kind)
-  local places, arrows, top = {}, {}, chart.top.level
-  move(places, chart.top, 0, 0)
+  local places, arrows, outer = {}, {}, chart.outer.composite
+  move(places, outer, 0, 0)
   for i, arrow in ipairs(chart.all) do arrows[i] = line_of(arrow, chart.direction) end
-  return { kind = kind, left = 0, bottom = 0, width = top.width,
-    height = top.height, places = places, lines = arrows }
+  return { kind = kind, left = 0, bottom = 0, width = outer.level.width,
+    height = outer.level.height, places = places, lines = arrows }
 end
 
 -- Returns the plain layout in an answer of Graphviz; nil if an edge is missing in it.
@@ -96,7 +100,8 @@ local function plain_layout(chart, answer)
   end
   for _, arrow in ipairs(chart.all) do count = count + (arrow.label and 2 or 1) end
   return #list == count and { kind = "plain", width = number_of(width),
-    height = number_of(height), lines = list } or nil
+    height = number_of(height), lines = list,
+    crossings = choice.count_crossings(list) } or nil
 end
 
 -- The graph -------------------------------------------------------------------
@@ -224,25 +229,19 @@ end
 -- points. Return nil and the problem if that fails. The graph has positions, or it is
 -- `graph`, the result of `rfsm.dot.encode`. `run(text)` has Graphviz lay out a graph.
 function layout.draw(chart, graph, run)
-  local size, was_sheet = chart.sheet, chart.kind == "sheet"
   links.prepare(chart)
   local problem = sheet.lay_out(chart, runner(chart, graph, function(text)
     local answer, why = run(text)
     return answer and answer:gsub("\\\r?\n", "") or nil, why
   end))
   if problem then return nil, problem end
-  sheet.put(chart)
-  local best = layout_of(chart, "levels")
-  best = chart.whole and choice.of(best, chart.whole, chart.kind, size) or best
-  if chart.is_large and (was_sheet or not choice.is_readable(best, size)) then
-    local shape = sheet.best(chart, best)
-    if shape then
-      sheet.put(chart, shape)
-      best = layout_of(chart, "sheet")
-    end
+  local best = sheet.best(chart)
+  if best ~= chart.whole then
+    sheet.put(best)
+    best = layout_of(chart, best == chart.outer.kept.first and "levels" or "sheet")
   end
   local text = best.places and graph_of(chart, best) or plain_graph(chart, graph)
-  return text, nil, 10 * choice.scale(size, best.width, best.height)
+  return text, nil, 10 * choice.scale(chart.sheet, best.width, best.height)
 end
 
 return layout

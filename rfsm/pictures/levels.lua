@@ -136,13 +136,4 @@ function levels.by_height(chart)
   return list
 end
 
---- Lay out a level that has one composite in it, and no link, without Graphviz.
-function levels.enclose(level)
-  local inner = level.composite.nodes[1].level
-  local width, height = inner.width, inner.height
-  level.boxes = { { x = width / 2, y = height / 2, width = width, height = height } }
-  level.x, level.y, level.width, level.height = 0, 0, width, height
-  level.inner_width, level.inner_height, level.header = width, height, nil
-end
-
 return levels

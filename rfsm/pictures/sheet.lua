@@ -2,9 +2,9 @@
 --
 -- Bottom-up, each level is laid out as Graphviz does it: its *first* shape. If a chart
 -- is too large for its sheet, there are tight shapes, most of them with rows. One is
--- kept for each *aim*: little area, a large scale, little height, little width; all
--- composites in a level have shapes for one aim. The shapes of all levels of one height
--- are laid out in one run of Graphviz.
+-- kept for each *aim*: a large scale, little height, little width; all composites in a
+-- level have shapes for one aim. The shapes of all levels of one height are laid out in
+-- one run of Graphviz.
 --
 -- @module rfsm.pictures.sheet
 -- @license BSD-3-Clause
@@ -81,10 +81,10 @@ local function lines_in(level)
   return list
 end
 
--- Returns the number of crossings in a shape; huge if a line covers a box. It is counted
--- where it is needed, since most shapes are out of question by their size.
+-- Returns the number of crossings in a shape; huge if a line covers a box. It is only
+-- counted where it matters: most shapes are out of question by their size.
 local function crossings_of(shape)
-  if rawget(shape, "crossings") then return shape.crossings end
+  if shape.crossings then return shape.crossings end
   local list = lines_in(shape)
   shape.crossings = order.any(list, function(line)
     return is_covering(shape, line)
@@ -97,14 +97,13 @@ end
 
 -- Aims ------------------------------------------------------------------------
 
-local AIMS = { "area", "scale", "height", "width" }
+local AIMS = { "scale", "height", "width" }
 
 -- How badly a shape serves an aim.
 local MISFITS = {
   scale = function(shape, size)
     return -choice.scale(size, shape.width, shape.height)
   end,
-  area = function(shape) return shape.width * shape.height end,
   height = function(shape) return shape.height + shape.width / 50 end,
   width = function(shape) return shape.width + shape.height / 50 end,
 }
@@ -292,32 +291,26 @@ function sheet.lay_out(chart, run)
   chart.outer = heights[#heights][1]
 end
 
---- Return the best shape of a chart for its sheet; nil if the layout `best` is better.
--- The shape of the former picture stays unless another one is much larger.
-function sheet.best(chart, best)
-  local outer, size, most = chart.outer, chart.sheet, choice.count_crossings(best.lines)
-  local shape, former = choice.for_sheet(outer.shapes, best, size, most),
-    outer.kept.former
-  local is_kept = former and choice.keeps(former, shape or best, size, most)
-  return is_kept and former or shape
+--- Return the best layout of a chart: one of its shapes, or the plain layout.
+function sheet.best(chart)
+  local outer, whole = chart.outer, chart.whole
+  local kept, layouts = outer.kept, { outer.kept.first, whole }
+  layouts[#layouts + 1] = kept.scale -- of equal ones the largest
+  for _, shape in ipairs(outer.shapes) do layouts[#layouts + 1] = shape end
+  local former = { levels = kept.first, plain = whole, sheet = kept.former }
+  return choice.best(layouts, crossings_of, chart.sheet, former[chart.kind])
 end
 
--- Puts a shape and those in it. The nodes note them, so that the picture has them.
-local function put_all(shape)
+--- Put a shape and those in it. The nodes note them, so that the picture has them.
+function sheet.put(shape)
   local composite, deal = shape.composite, shape.deal
   put(shape)
   composite.is_turned = deal == "turned" or nil
   for i, node in ipairs(composite.nodes) do
     node.row = type(deal) == "table" and deal[i] or nil
-    if shape.kids[i] then put_all(shape.kids[i]) end
+    if shape.kids[i] then sheet.put(shape.kids[i]) end
   end
   levels.align_regions(composite)
-end
-
---- Lay out a chart in a shape of it, by default the first one.
-function sheet.put(chart, shape)
-  put_all(shape or chart.outer.kept.first)
-  if chart.outer.composite ~= chart.top then levels.enclose(chart.top.level) end
 end
 
 return sheet
