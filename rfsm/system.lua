@@ -18,7 +18,7 @@ local order = require "rfsm.shared.order"
 local search = require "rfsm.shared.search"
 local wires = require "rfsm.system.wires"
 
-local error, getmetatable, ipairs, pcall = error, getmetatable, ipairs, pcall
+local error, getmetatable, ipairs = error, getmetatable, ipairs
 local rawget, rawset, setmetatable, type = rawget, rawset, setmetatable, type
 local floor, huge, remove = math.floor, math.huge, table.remove
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
@@ -263,9 +263,8 @@ function system.load(file)
   opts.check_file("rfsm.system.load", file)
   local path = beside(file, calling_file())
   loading[#loading + 1] = path
-  local ok, value = pcall(rfsm.load, path, system.is_system)
-  loading[#loading] = nil
-  if not ok then error(value, 0) end
+  local value = calls.finally(function() loading[#loading] = nil end, rfsm.load, path,
+    system.is_system)
   if not system.is_system(value) then file_of[value] = path end
   return value
 end

@@ -181,6 +181,15 @@ function static.init(model, warn)
   return calls.silently(calls.init_apart, model, warn)
 end
 
+--- Return the results of init(model, false). `prepare(fsm)` is called before the engine
+--- indexes the events. This preproc function is then removed by its position, since an
+--- extension that is loaded meanwhile may append its own.
+function static.prepared(init, model, prepare)
+  local preproc, at = rfsm.preproc, #rfsm.preproc + 1
+  preproc[at] = prepare
+  return calls.finally(function() table.remove(preproc, at) end, init, model, false)
+end
+
 -- Returns a table of a machine's elements. Its keys are the locations in warnings.
 local function elements_by_place(fsm)
   local found = {}
@@ -220,9 +229,8 @@ local function init_and_listen(model)
     if rfsm.model_of(fsm) ~= model then return end
     warnings[#warnings + 1], code_of[text] = text, code
   end
-  local ok, fsm, _, problems = pcall(static.init, model, function() end)
-  rfsm.warned = outer
-  if not ok then error(fsm, 0) end
+  local fsm, _, problems = calls.finally(function() rfsm.warned = outer end,
+    static.init, model, function() end)
   return fsm, problems, warnings, code_of
 end
 

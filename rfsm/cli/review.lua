@@ -27,7 +27,6 @@ local loadfile, os, pcall = loadfile, os, pcall
 local package, pairs, rawget = package, pairs, rawget
 local rawset, require, type = rawset, require, type
 local concat = table.concat
-local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
 local review = {}
 
@@ -240,13 +239,12 @@ function review.noting_extensions(f, ...)
     loaded[name] = nil
     rawset(_G, name, nil)
   end
-  local results = { pcall(f, ...) }
-  for name, values in pairs(kept) do -- any order: each is independent
-    loaded[name], preload[name] = values[1], nil
-    rawset(_G, name, values[2])
-  end
-  if not results[1] then error(results[2], 0) end
-  return required, unpack(results, 2, 4)
+  return required, calls.finally(function()
+    for name, values in pairs(kept) do -- any order: each is independent
+      loaded[name], preload[name] = values[1], nil
+      rawset(_G, name, values[2])
+    end
+  end, f, ...)
 end
 
 -- Adds a finding for each event of an extension that the chart does not require. If the

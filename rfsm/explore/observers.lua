@@ -23,7 +23,7 @@ local static = require "rfsm.checks.static"
 
 local error, ipairs, pcall = error, ipairs, pcall
 local setmetatable, type = setmetatable, type
-local concat, remove = table.concat, table.remove
+local concat = table.concat
 
 local observers = {}
 
@@ -94,19 +94,13 @@ end
 
 -- Makes the silent machine of a chart.
 local function new_machine(chart)
-  local preproc, at = rfsm.preproc, #rfsm.preproc + 1
-  preproc[at] = function(fsm)
+  local fsm, _, problems = static.prepared(static.init, chart, function(fsm)
     for _, obj in ipairs(rfsm.elements(fsm)) do
       check_element(obj)
       if rfsm.is_trans(obj) then prepare_transition(obj) end
     end
-  end
-  local ok, fsm, _, problems = pcall(static.init, chart, false)
-  remove(preproc, at)
-  if not ok then error(fsm, 0) end
-  if not fsm then
-    error(concat(problems, "; "), 0)
-  end
+  end)
+  if not fsm then error(concat(problems, "; "), 0) end
   fsm.info, fsm.warn, fsm.err = false, false, false
   return fsm
 end

@@ -1045,16 +1045,12 @@ local function free_predicates(self, fsm)
   end
 end
 
--- Makes a silent machine of a model. A preproc function replaces its predicates before
--- the engine indexes the events. The function is then removed by its position, since an
--- extension that is loaded meanwhile may append its own function.
+-- Makes a silent machine of a model, with its predicates replaced.
 local function new_machine(self, model)
   local init = rfsm.is_initialized_root(model) and rfsm.init or static.init
-  local preproc, at = rfsm.preproc, #rfsm.preproc + 1
-  preproc[at] = function(fsm) free_predicates(self, fsm) end
-  local ok, fsm, _, problems = pcall(init, model, false)
-  remove(preproc, at)
-  if not ok then error(fsm, 0) end
+  local fsm, _, problems = static.prepared(init, model, function(fsm)
+    free_predicates(self, fsm)
+  end)
   return fsm or error("the model has problems\n  " .. concat(problems, "\n  "), 0)
 end
 

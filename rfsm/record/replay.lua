@@ -14,7 +14,7 @@ local match = require "rfsm.shared.match"
 local migrate = require "rfsm.snapshot.migrate"
 local tracks = require "rfsm.record.track"
 
-local error, ipairs, pcall = error, ipairs, pcall
+local error, ipairs = error, ipairs
 local rawequal, tostring, type = rawequal, tostring, type
 local huge, min, remove = math.huge, math.min, table.remove
 local reason, text_of = encoding.reason, rfsm.text_of
@@ -440,8 +440,7 @@ return function(model, header, next_of, options)
   session.problem = problem
   if not fsm then return session end
   session.fsm, session.tracks = fsm, tracks.attach(fsm, listener, session)
-  local is_whole, failure = pcall(go_through, session, header)
-  tracks.detach(session.tracks)
-  if not is_whole then error(failure, 0) end
+  calls.finally(function() tracks.detach(session.tracks) end, go_through, session,
+    header)
   return session
 end

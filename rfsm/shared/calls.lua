@@ -30,15 +30,22 @@ function calls.load(text, name, globals)
   return chunk, problem
 end
 
+local function finish(undo, ok, ...)
+  undo()
+  if not ok then error((...), 0) end
+  return ...
+end
+
+--- Return f(...). Call `undo()` when it has returned, or has raised an error.
+function calls.finally(undo, f, ...) return finish(undo, pcall(f, ...)) end
+
 --- Make a machine of a model for a tool, as `rfsm.init` does. If regions of the model
 -- are machines, they are not used: the new machine gets new regions of the same models.
 function calls.init_apart(model)
   local was_apart, make = calls.is_apart, rfsm.seqand and rfsm.seqand.init_apart
   calls.is_apart = true
-  local ok, fsm, text, problems = pcall(make or rfsm.init, model)
-  calls.is_apart = was_apart
-  if not ok then error(fsm, 0) end
-  return fsm, text, problems
+  return calls.finally(function() calls.is_apart = was_apart end, make or rfsm.init,
+    model)
 end
 
 local failed = {} -- the text and the problems of the latest failure of `calls.fail`
@@ -70,10 +77,9 @@ function calls.silently(make, model, warn)
       rawset(model, name, name == "warn" and warn or false)
     end
   end
-  local ok, fsm, text, problems = pcall(make, model)
-  for _, name in ipairs(PRINTERS) do rawset(model, name, own[name]) end
-  if not ok then error(fsm, 0) end
-  return fsm, text, problems
+  return calls.finally(function()
+    for _, name in ipairs(PRINTERS) do rawset(model, name, own[name]) end
+  end, make, model)
 end
 
 --- Return a text of several lines, such as a problem and a list below it, as one line.

@@ -203,9 +203,8 @@ local NO_STATE = "no valid rfsm in" -- text in an error of `rfsm.load`
 -- 0). If the model has problems, the loading is stopped.
 local function note_machine(world, depth, init, model)
   world.depth = depth + 1
-  local ok, fsm, text, problems = pcall(init_silently, init, model)
-  world.depth = depth
-  if not ok then error(fsm, 0) end
+  local fsm, text, problems = calls.finally(function() world.depth = depth end,
+    init_silently, init, model)
   if depth > 0 then return fsm, text, problems end
   local number = #world.models + 1
   world.models[number] = rfsm.model_of(model)
@@ -231,11 +230,11 @@ local function noting_machines(world, load, file)
       return f(fsm, ...)
     end)
   end
-  local ok, model = pcall(within_bounds, world, load, file)
-  is_loading = false
-  for name, f in order.each(plain) do rawset(rfsm, name, f) end -- any order
-  rawset(rfsm, "init", init)
-  return ok and model or error(model, 0)
+  return calls.finally(function()
+    is_loading = false
+    for name, f in order.each(plain) do rawset(rfsm, name, f) end -- any order
+    rawset(rfsm, "init", init)
+  end, within_bounds, world, load, file)
 end
 
 -- Returns the lines of the models: "chart.lua:7, chart.lua:12".

@@ -10,6 +10,7 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
 local opts = require "rfsm.shared.options"
 local location = require "rfsm.shared.location"
@@ -17,7 +18,7 @@ local stubs = require "rfsm.shared.stubs"
 local subject = require "rfsm.explore.subject"
 
 local error, getmetatable, ipairs = error, getmetatable, ipairs
-local pairs, pcall, rawget, rawset = pairs, pcall, rawget, rawset
+local pairs, rawget, rawset = pairs, rawget, rawset
 local select, setmetatable = select, setmetatable
 local table, type = table, type
 local concat = table.concat
@@ -93,11 +94,10 @@ local function with_fakes(own, f, ...)
     end }
     setmetatable(_G, class)
   end
-  local ok, result = pcall(f, ...)
-  if class and getmetatable(_G) == class then setmetatable(_G, nil) end
-  for name in pairs(fakes) do rawset(_G, name, real[name][1]) end -- any order
-  if not ok then error(result, 0) end
-  return result
+  return calls.finally(function()
+    if class and getmetatable(_G) == class then setmetatable(_G, nil) end
+    for name in pairs(fakes) do rawset(_G, name, real[name][1]) end -- any order
+  end, f, ...)
 end
 
 local KNOWN = {
