@@ -771,7 +771,6 @@ function explore.walk(model, options, prepare, way)
   local walk = explore.new(model, options, way)
   if prepare then prepare(walk) end
   walk.timing = timing.new(walk, walk.options)
-  walk.subject.leaves_out = not (walk.timing or walk.subject.notes_events)
   walk:begin()
   if walk.timing and walk.timing.is_inexact then
     walk:note_untried("sets", "the order of times with more than 15 digits")
@@ -883,7 +882,6 @@ local function repeat_on(own, events, step)
   for i, occurrence in ipairs(events) do
     list[i] = own:occurrence(own.part_of[occurrence.part.prefix], occurrence.event)
   end
-  for _, part in ipairs(own.parts) do part.rounds = 0 end
   data.put(own, own.last_values or own.first_values)
   own:step(list, {})
   own.last_values = data.read(own)
@@ -900,7 +898,7 @@ end
 function Walk:rerun(from, label, whole)
   local events, choices, number = read_label(self, label)
   local conf, step = self:configuration(from), new_step(events)
-  self.subject:put(conf, events)
+  self.subject:put(conf)
   self.subject:step(events, choices)
   explore.note_outcome(self.subject, step)
   if whole then repeat_on(whole, events, step) end

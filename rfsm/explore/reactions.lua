@@ -11,7 +11,6 @@
 local rfsm = require "rfsm"
 local match = require "rfsm.shared.match"
 local location = require "rfsm.shared.location"
-local order = require "rfsm.shared.order"
 
 local ipairs, type = ipairs, type
 local is_conn = rfsm.is_conn
@@ -30,8 +29,6 @@ local reactions = {}
 -- than MANY_SEGMENTS to look for them
 ---@field count integer how many segments were looked at
 ---@field outside rfsm_checks.Occurrence[]|false events from outside; false: no list yet
----@field own table<any, boolean>|false the set of the events that count for the leaf
--- itself, without events of its regions; false: all events count
 
 local function add_event(found, event)
   event = match.example_of(event)
@@ -91,10 +88,6 @@ end
 -- each region lists the events of its own leaf.
 local function add_own_regions(found, leaf)
   local count = #found
-  found.own = not found.any and {}
-  for event in order.each(found.own and found.set or {}) do -- any order: a set
-    found.own[event] = true
-  end
   add_regions(found, leaf)
   for i = #found, count + 1, -1 do found[i] = nil end
 end
@@ -167,7 +160,7 @@ end
 ---@return rfsm_checks.Reactions reactions
 function reactions.collect(fsm, leaf)
   local found = { set = {}, any = false, has_predicate = false, timers = {}, sets = {},
-    is_cut = false, count = 0, own = false, outside = false }
+    is_cut = false, count = 0, outside = false }
   local seen, nodes = {}, location.tried(fsm, leaf)
   if not leaf then found.set.e_init_fsm = true end
   for i = #nodes, 1, -1 do

@@ -82,8 +82,6 @@ local subject = {}
 ---@field time rfsm.clock.Clock the clock of the machines
 ---@field answers table<function, any> predicate, or guard with a rule -> its answers in
 -- this step
----@field leaves_out boolean steps do not advance regions in which nothing would happen
----@field trimmed rfsm.State|false the state whose quiet regions are removed for now
 ---@field notes_events boolean `last_events` gets the events of all iterations of a step
 ---@field choices boolean[] the choices of the last step, in the order of the questions
 ---@field askers string[] for each choice the path of the transition or leaf
@@ -121,7 +119,6 @@ Subject.__index = Subject
 ---@field may_pass boolean a step may enter and leave a state of it
 ---@field is_single boolean a step of the subject advances it at most once. In such a
 -- step, only composites can be entered and left again.
----@field is_quiet boolean the step leaves it out, since nothing would happen in it
 
 --- An event that comes to a part of a subject in a step.
 ---@class rfsm_checks.Occurrence
@@ -280,10 +277,7 @@ end
 local function note_moment(self, list, state, word)
   local active = {}
   for _, part in ipairs(self.parts) do
-    for _, path in ipairs(part.is_quiet and part.position.known.paths or NOTHING) do
-      active[path] = true
-    end
-    local node = not part.is_quiet and part.fsm._mode ~= "inactive" and part.fsm
+    local node = part.fsm._mode ~= "inactive" and part.fsm
     while node do
       active[location.path(node, part.prefix)] = true
       node = rfsm.actchild_get(node)
@@ -466,12 +460,11 @@ end
 local function add_part(self, part)
   local fsm = part.fsm
   part.known, part.positions, part.inner, part.position = {}, {}, {}, false
-  part.is_bound, part.is_quiet, part.is_single = false, false, is_single(part)
-  part.may_pass = false
+  part.is_bound, part.may_pass, part.is_single = false, false, is_single(part)
   part.reads_one = reads_one(part)
   part.kept, part.keeps_order = kept.of(fsm), part.reads_one
   if part.owner then insert(part.owner.inner, part) end
-  part.occurrences, part.timed, part.rounds = {}, {}, 0
+  part.occurrences, part.timed = {}, {}
   add_source(part)
   self.parts[#self.parts + 1] = part
   for _, name in ipairs(SILENT) do fsm[name] = nil end
@@ -584,8 +577,7 @@ function Subject:read()
   local parts, ids = self.parts, self.ids
   self.deferred = 0
   for i = 1, #parts do
-    local part = parts[i]
-    local position = part.is_quiet and part.position or read_position(self, part)
+    local position = read_position(self, parts[i])
     ids[i], self.deferred = position.id, self.deferred + position.deferred
   end
   local key = concat(ids, ",") .. concat(self.flags)
@@ -613,7 +605,7 @@ end
 local function put_position(part, position)
   local fsm, leaf, waiting = part.fsm, position.leaf, position.waiting
   local queue, mode = fsm._intq, (leaf or fsm)._mode
-  part.position, part.rounds = position, 0
+  part.position = position
   if rawequal(fsm._act_leaf, leaf) and mode == position.mode and not part.kept then
     for i = 1, max(#queue, #waiting) do queue[i] = waiting[i] end
   else
@@ -622,70 +614,10 @@ local function put_position(part, position)
   end
 end
 
--- Is no event waiting, and does the machine ignore all of `events`? Its regions may
--- react to them.
-local function is_deaf(self, part, position, events)
-  local own = #position.waiting == 0 and not needs_no_event(position.known)
-    and reactions.of(part, position.leaf).own
-  for i = 1, own and #events or 0 do
-    local event = events[i].event
-    if own[self:any_of(event)] or self.wanted[event] ~= nil then return false end
-  end
-  return own and not part.kept
-end
-
--- Sets the regions of a leaf that the engine advances: all, or all that are not quiet.
-local function set_regions(self, leaf, are_all)
-  local _, regions = rfsm.regions(leaf)
-  local count = 0
-  for _, part in ipairs(self.parts[1].inner) do
-    if part.leaf == leaf and (are_all or not part.is_quiet) then
-      count = count + 1
-      regions[count] = part.fsm
-    end
-  end
-  for i = #regions, count + 1, -1 do regions[i] = nil end
-end
-
--- Does a step with these events change nothing in a region, if `leaf` stays active? A
--- region of another leaf is not run at all.
-local function is_quiet(self, part, position, leaf, events)
-  if part.owner ~= self.parts[1] or part.inner[1] then return false end
-  return part.leaf ~= leaf
-    or position.mode == "done" and is_deaf(self, part, position, events)
-end
-
--- Marks regions as quiet if a step would change nothing in them. The engine does not
--- advance quiet regions. If the step may leave the active leaf, or end it because the
--- regions are joined, no region is quiet.
-local function leave_out_quiet(self, conf, events)
-  local leaf = self.leaves_out and conf[1].leaf
-  local _, own = rfsm.regions(leaf)
-  local stays = own and not rfsm.names_done(leaf)
-    and is_deaf(self, self.parts[1], conf[1], events)
-  if self.trimmed and not (stays and self.trimmed == leaf) then
-    set_regions(self, self.trimmed, true)
-  end
-  for i = 2, #self.parts do
-    local part = self.parts[i]
-    part.is_quiet = stays and is_quiet(self, part, conf[i], leaf, events) or false
-  end
-  self.trimmed = stays and leaf
-  if stays then set_regions(self, leaf, false) end
-end
-
---- Put the machines into a configuration, from which a step with `events` is to start.
+--- Put the machines into a configuration, from which a step is to start.
 ---@param conf rfsm_checks.Configuration
----@param events rfsm_checks.Occurrence[]
-function Subject:put(conf, events)
-  leave_out_quiet(self, conf, events)
-  for i = 1, #self.parts do
-    if self.parts[i].is_quiet then
-      self.parts[i].position = conf[i]
-    else
-      put_position(self.parts[i], conf[i])
-    end
-  end
+function Subject:put(conf)
+  for i, part in ipairs(self.parts) do put_position(part, conf[i]) end
   for i = 1, #self.flags do self.flags[i] = conf.flags:sub(i, i) end
   data.put(self, conf.values)
 end
@@ -819,10 +751,7 @@ local OF_STEP = { "taken", "passed", "heard", "last_events", "sent", "sent_later
 
 -- Has what came to a region wait in its queue, if the step has not advanced it.
 local function keep_coming(self)
-  for _, part in ipairs(self.parts) do
-    if part.is_quiet then clear(part.coming) end
-    put_coming(part, part.fsm._intq)
-  end
+  for _, part in ipairs(self.parts) do put_coming(part, part.fsm._intq) end
 end
 
 -- Drops the moments whose states are still active at the end of the step: no state was
@@ -861,6 +790,7 @@ function Subject:step(events, choices)
   if not order.is_empty(self.answers) then self.answers = {} end
   if not order.is_empty(self.entered) then self.entered = {} end
   for event in order.each(self.wanted) do self.wanted[event] = false end
+  for _, part in ipairs(self.parts) do part.rounds = 0 end
   send(events)
   local ok, failure = pcall(rfsm.step, self.parts[1].fsm)
   if self.is_touched then data.put_back(self) end
@@ -902,7 +832,7 @@ local MANY_CHOICES, MANY_ANSWERS = 4096, 100000
 function Subject:each_choice(conf, events, owner, f)
   local choices, lists, answers = {}, 0, 0
   repeat
-    self:put(conf, events)
+    self:put(conf)
     local is_stopped = f(owner, self:step(events, choices))
     lists, answers = lists + 1, answers + self.asked
     if is_stopped or lists == MANY_CHOICES or answers > MANY_ANSWERS then
@@ -1149,9 +1079,8 @@ function subject.new(model, options, way)
     last_events = {}, ids = {}, entered = {}, values = {},
     occurrences = {}, event_list = {}, event_numbers = {}, wanted = {}, done = {},
     alphabet = nil, time = clock.simulated(), is_endless = false,
-    notes_events = false, leaves_out = false, trimmed = false,
-    is_touched = false, changed = nil, unfollowed = false, sends_late = false,
-    ran = false }, Subject)
+    notes_events = false, is_touched = false, changed = nil, unfollowed = false,
+    sends_late = false, ran = false }, Subject)
   read_classes(self, options.classes or {})
   local fsm = new_machine(self, model)
   rfsm.set_emit(fsm, function(event, value)

@@ -173,7 +173,6 @@ local function tell(own, what)
     own.said[find_asker(own, name)] = false
   end
   for _, name in ipairs(what.ends or {}) do own.said[find_asker(own, name)] = true end
-  for _, part in ipairs(own.parts) do part.rounds = 0 end
 end
 
 -- Lists the guards and doos that were asked without having an answer, and those that
@@ -266,7 +265,6 @@ function Rehearsal:repeat_step(step)
   for i, choice in ipairs(step.choices) do choices[i] = choice.answer end
   own.choose = nil
   if step.at then own.time:advance(step.at - own.time:now()) end
-  for _, part in ipairs(own.parts) do part.rounds = 0 end
   own:step(events, choices)
   own.choose = answer
   for _, sent in ipairs(step.sent) do
