@@ -57,20 +57,14 @@ local function is_range(range)
 end
 
 --- Is `vars` right, such as { tries = { 0, 3 }, on = "boolean", gear = { "a", "b" } }?
----@return boolean is_right
----@return string? problem
-function data.check_vars(vars)
-  if type(vars) ~= "table" then return false end
-  for _, name in ipairs(rfsm.sorted_keys(vars)) do
-    if type(name) ~= "string" or name:find("^_") then
-      return false, "name of a field expected, " .. opts.got(name)
-    elseif not is_range(vars[name]) then
-      return false, name .. ": { least, most }, list of texts or 'boolean' expected, "
-        .. opts.got(vars[name])
-    end
+data.check_vars = opts.each_field(function(name, range)
+  if type(name) ~= "string" or name:find("^_") then
+    return "name of a field expected, " .. opts.got(name)
+  elseif not is_range(range) then
+    return name .. ": { least, most }, list of texts or 'boolean' expected, "
+      .. opts.got(range)
   end
-  return true
-end
+end)
 
 -- Values ............................................................................
 

@@ -631,16 +631,6 @@ local function problem_of_examples(name, list)
   end
 end
 
--- Is the option right, such as { e_reading = { { celsius = 20 }, { celsius = 90 } } }?
-local function check_classes(classes)
-  if type(classes) ~= "table" then return false end
-  for _, name in ipairs(rfsm.sorted_keys(classes)) do
-    local problem = problem_of_examples(name, classes[name])
-    if problem then return false, problem end
-  end
-  return true
-end
-
 local KNOWN = {
   together = opts.whole(),
   configurations = opts.whole(1, nil, 1e6),
@@ -652,7 +642,7 @@ local KNOWN = {
   deferred = opts.whole(1, nil, 4),
   dry_run = { "boolean", is_boolean, false },
   multiply = { "boolean", is_boolean, false },
-  classes = { "table of lists", check_classes },
+  classes = { "table of lists", opts.each_field(problem_of_examples) },
   flags = { "table of flags", replacements.check_flags, {} },
   vars = { "table of ranges", data.check_vars },
   run = { "list of callbacks", data.check_functions },

@@ -113,17 +113,16 @@ function kinds.always.see(property, state, look)
   return holds(property.what, look.active) and state or "violated"
 end
 
-function kinds.leads_to.see(property, state, look)
-  if holds(property.goal, look.active) then return "first" end
-  if look.came then state = "owed" end
-  return state == "owed" and look.is_at_rest and "violated" or state
+-- Returns a function that sees if the goal is owed at a moment when it must not be.
+local function owed_until(moment)
+  return function(property, state, look)
+    if holds(property.goal, look.active) then return "first" end
+    if look.came then state = "owed" end
+    return state == "owed" and look[moment] and "violated" or state
+  end
 end
 
-function kinds.after.see(property, state, look)
-  if holds(property.goal, look.active) then return "first" end
-  if look.came then state = "owed" end
-  return state == "owed" and look.is_idle and "violated" or state
-end
+kinds.leads_to.see, kinds.after.see = owed_until "is_at_rest", owed_until "is_idle"
 
 function kinds.after_never.see(property, state, look)
   if look.is_end and look.came then state = "since" end

@@ -27,7 +27,8 @@ local replacements = {}
 
 local FLAG = { on = true, off = true }
 
-local function check_flag(where, flag)
+local function problem_of_flag(name, flag)
+  local where = rfsm.text_of(name)
   if type(flag) ~= "table" then
     return where .. ": table with the lists 'on' and 'off' expected, " .. opts.got(flag)
   end
@@ -46,16 +47,7 @@ local function check_flag(where, flag)
 end
 
 --- Is the option a table of flags: { motor = { on = {...}, off = {...} } }?
----@return boolean is_right
----@return string? problem
-function replacements.check_flags(flags)
-  if type(flags) ~= "table" then return false end
-  for _, name in ipairs(rfsm.sorted_keys(flags)) do
-    local problem = check_flag(rfsm.text_of(name), flags[name])
-    if problem then return false, problem end
-  end
-  return true
-end
+replacements.check_flags = opts.each_field(problem_of_flag)
 
 -- Returns the kind of an item of `sends`: "after" for { "e_x", after = 2 }, "cancel"
 -- for { cancel = "e_x" }, "emit" for { emit = "e_x" }; nil for a plain event.
@@ -67,7 +59,7 @@ local function kind_of(item)
     or rawget(item, "emit") ~= nil and "emit" or nil
 end
 
-local function check_later(where, item)
+local function problem_of_later(where, item)
   local seconds = item.after
   if type(seconds) ~= "number" or not (seconds >= 0 and seconds < math.huge) then
     return where .. ".after: seconds, a finite number not below 0, expected, "
@@ -83,26 +75,22 @@ local function check_later(where, item)
   end
 end
 
+local function problem_of_sends(name, list)
+  local where = ("['%s']"):format(rfsm.text_of(name))
+  if not opts.is_list(list) then
+    return where .. ": list of events expected, " .. opts.got(list)
+  end
+  for i, item in ipairs(list) do
+    local problem = kind_of(item) == "after"
+      and problem_of_later(where .. "[" .. i .. "]", item)
+    if problem then return problem end
+  end
+end
+
 --- Is the option a table of lists of events: { ["entry root.a"] = { "e_x" } }?
 --- { "e_x", after = 2 } sends the event later, { cancel = "e_x" } drops this event.
 --- { emit = "e_x" } calls `fsm.emit`; { emit = "e_x", data = true } also passes data.
----@return boolean is_right
----@return string? problem
-function replacements.check_sends(sends)
-  if type(sends) ~= "table" then return false end
-  for _, name in ipairs(rfsm.sorted_keys(sends)) do
-    if not opts.is_list(sends[name]) then
-      return false, ("['%s']: list of events expected, %s"):format(rfsm.text_of(name),
-        opts.got(sends[name]))
-    end
-    for i, item in ipairs(sends[name]) do
-      local where = ("['%s'][%d]"):format(rfsm.text_of(name), i)
-      local problem = kind_of(item) == "after" and check_later(where, item)
-      if problem then return false, problem end
-    end
-  end
-  return true
-end
+replacements.check_sends = opts.each_field(problem_of_sends)
 
 -- Callbacks by name ................................................................
 

@@ -41,6 +41,18 @@ end
 --- Is the value a finite number of seconds, not below 0?
 function options.is_seconds(x) return type(x) == "number" and x >= 0 and x < huge end
 
+--- Return a function that tests if a value is a table, and problem_of(key, value) finds
+--- no problem in any of its fields.
+function options.each_field(problem_of)
+  return function(t)
+    for _, key in ipairs(type(t) == "table" and rfsm.sorted_keys(t) or {}) do
+      local problem = problem_of(key, t[key])
+      if problem then return false, problem end
+    end
+    return type(t) == "table"
+  end
+end
+
 --- Is the value a plain list without holes?
 function options.is_list(value)
   if type(value) ~= "table" or getmetatable(value) or rfsm.is_fsmobj(value) then
