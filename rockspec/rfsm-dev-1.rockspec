@@ -103,7 +103,6 @@ build = {
     ["rfsm.observe.rewind"] = "rfsm/observe/rewind.lua",
     ["rfsm.observe.stream"] = "rfsm/observe/stream.lua",
     ["rfsm.observe.subscriber"] = "rfsm/observe/subscriber.lua",
-    ["rfsm.observe.values"] = "rfsm/observe/values.lua",
     ["rfsm.observe.watch_properties"] = "rfsm/observe/watch_properties.lua",
     ["rfsm.observe.why"] = "rfsm/observe/why.lua",
     ["rfsm.pictures.choice"] = "rfsm/pictures/choice.lua",

@@ -217,9 +217,14 @@ describe("a host with the locale", function()
   local function check_turkish(charset)
     local variables, name = find_locale("tr_TR", folder, "0,5", charset)
     if not variables then return pending(MISSING) end
-    assert.equal("EXIT EFFECT exit", helper.output_of(([[
+    assert.equal("EXIT EFFECT exit (did you mean 'ii'?) typo", helper.output_of(([[
       assert(os.setlocale "%s")
       local rfsm, ids = require "rfsm", {}
+      local advice, typos = require "rfsm.advice", {}
+      require("rfsm.checks.event_names").check(rfsm.init(rfsm.state { info = false,
+        a = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" },
+        rfsm.trans { src = "a", tgt = "a", events = { "e_init", "e_INIT" } } }),
+        function(code) typos[#typos + 1] = code end)
       local fsm = rfsm.init(rfsm.state { info = false, warn = false,
         err = function(id) ids[#ids + 1] = id end,
         a = rfsm.state { exit = error }, rfsm.trans { src = "initial", tgt = "a" },
@@ -228,7 +233,8 @@ describe("a host with the locale", function()
       rfsm.send_events(fsm, "e")
       rfsm.run(fsm)
       print(table.concat(ids, " ") .. " "
-        .. require("rfsm.advice").field_meant("state", "EXIT")) ]]):format(name),
+        .. advice.field_meant("state", "EXIT") .. advice.did_you_mean("II", { "ii" })
+        .. " " .. table.concat(typos)) ]]):format(name),
       variables))
   end
 

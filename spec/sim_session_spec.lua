@@ -3,8 +3,8 @@
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
 
-local MODULES = { "observe.breakpoints", "observe.values", "sim.commands",
-  "sim.drawing", "sim.history", "sim.observer", "sim.prompt", "sim.session",
+local MODULES = { "observe.breakpoints", "sim.commands", "sim.drawing",
+  "sim.history", "sim.observer", "sim.prompt", "sim.session",
   "sim.simulator", "sim.terminal", "sim.time" }
 
 local printed = {} -- lines, those of stderr with a "!"

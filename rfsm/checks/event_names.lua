@@ -168,7 +168,7 @@ end
 -- (close, closed; lock, block), in short words (load, lead) or beside digits, since
 -- such names are usually meant to differ.
 local function each_shape(event, f)
-  f((event:lower():gsub("_", "")))
+  f(advice.plain(event))
   for at, word in event:gmatch("()(%a+)") do
     local before, behind = event:sub(1, at - 1), event:sub(at + #word)
     local is_counted = event:find("^%d", at + #word) or event:sub(at - 1):find("^%d")
@@ -212,7 +212,7 @@ end
 
 -- Has one name another letter in one place? Then both may be meant (packed, picked).
 local function has_other_letter(a, b)
-  a, b = a:lower(), b:lower()
+  a, b = advice.lower(a), advice.lower(b)
   local count = 0
   for i = 1, #a do
     if a:byte(i) ~= b:byte(i) then count = count + 1 end
@@ -236,7 +236,7 @@ end
 
 -- Returns the event of its source that the event of one transition looks like.
 local function nearly_own(event, tr)
-  local word = event:lower():gsub("_", "")
+  local word = advice.plain(event)
   local is_fault = word == "efault" or word == "efaults"
   if is_fault and event ~= "e_fault" then return "e_fault" end
   return rfsm.is_leaf(tr.src) and (word == "done" or word == "edone") and "e_done"

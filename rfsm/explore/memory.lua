@@ -16,6 +16,7 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local calls = require "rfsm.shared.calls"
 local location = require "rfsm.shared.location"
 local order = require "rfsm.shared.order"
 local writes = require "rfsm.shared.writes"
@@ -138,7 +139,7 @@ end
 
 -- Adds a cell for each upvalue and global that a function names.
 local function add_cells(self, text, callback)
-  for i, upvalue in ipairs(writes.upvalues_of(callback)) do
+  for i, upvalue in ipairs(calls.upvalues_of(callback)) do
     add_cell(self, upvalue.name, function()
       local _, value = getupvalue(callback, i)
       return value

@@ -126,7 +126,7 @@ local function may_call(callback, module, name)
   local f = module and module[name]
   return writes.each(callback, function(text, own)
     return text:find("%f[%w_]" .. name .. "%f[^%w_]") or f and order.any(
-      writes.upvalues_of(own), function(upvalue) return rawequal(upvalue.value, f) end)
+      calls.upvalues_of(own), function(upvalue) return rawequal(upvalue.value, f) end)
   end, {})
 end
 

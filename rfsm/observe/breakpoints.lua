@@ -11,7 +11,7 @@ local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local location = require "rfsm.shared.location"
 local names = require "rfsm.observe.names"
-local values = require "rfsm.observe.values"
+local rfsmpp = require "rfsmpp"
 
 local error, ipairs, print, rawequal, type = error, ipairs, print, rawequal, type
 local remove = table.remove
@@ -117,8 +117,8 @@ function breakpoints.show_watched(sim)
       local ok, value = sim.value_of(point.name)
       local is_same = rawequal(value, point.value)
       print("watch:  " .. point.name .. " = "
-        .. (ok and values.value(value) or text_of(value))
-        .. (is_same and "" or " (was " .. values.value(point.value) .. ")"))
+        .. (ok and rfsmpp.value_text(value) or text_of(value))
+        .. (is_same and "" or " (was " .. rfsmpp.value_text(point.value) .. ")"))
       point.value = value
     end
   end

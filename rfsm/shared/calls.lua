@@ -11,6 +11,7 @@ local rawget, rawset, select = rawget, rawset, select
 local concat = table.concat
 local load = rawget(_G, "loadstring") or rawget(_G, "load")
 local setfenv = rawget(_G, "setfenv")
+local getupvalue = (rawget(_G, "debug") or {}).getupvalue
 
 local calls = { is_apart = false } -- true while `init_apart` makes a machine
 
@@ -80,6 +81,18 @@ function calls.silently(make, model, warn)
   return calls.finally(function()
     for _, name in ipairs(PRINTERS) do rawset(model, name, own[name]) end
   end, make, model)
+end
+
+--- List the upvalues of a function, each with its name and value.
+---@return { name: string, value: any }[]
+function calls.upvalues_of(f)
+  local list, i = {}, 1
+  while getupvalue do
+    local name, value = getupvalue(f, i)
+    if not name then break end
+    list[i], i = { name = name, value = value }, i + 1
+  end
+  return list
 end
 
 --- Return a text of several lines, such as a problem and a list below it, as one line.

@@ -8,13 +8,14 @@
 -- @module rfsm.shared.syntax
 -- @license BSD-3-Clause
 
+local calls = require "rfsm.shared.calls"
+local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
 
 local ipairs, package, pcall, rawget = ipairs, package, pcall, rawget
 local require, setmetatable, string, type = require, setmetatable, string, type
 local char = string.char
 local getinfo = (rawget(_G, "debug") or {}).getinfo
-local getupvalue = (rawget(_G, "debug") or {}).getupvalue
 
 local syntax = {}
 
@@ -185,26 +186,13 @@ local function count_constants(own, dump, list)
   return count
 end
 
--- Returns the names of the upvalues of a function as a set; nil if it was stripped.
+-- Returns the names of the upvalues of a function as a set.
 local function upvalues_of(f)
-  local names, i = {}, 1
-  while getupvalue do
-    local name = getupvalue(f, i)
-    if not name then break end
-    if name ~= "_ENV" then names[name] = true end
-    i = i + 1
+  local names = {}
+  for _, upvalue in ipairs(calls.upvalues_of(f)) do
+    if upvalue.name ~= "_ENV" then names[upvalue.name] = true end
   end
   return names
-end
-
-local function are_equal(a, b)
-  for name in order.each(a) do -- any order: a set
-    if not b[name] then return false end
-  end
-  for name in order.each(b) do -- any order, as above
-    if not a[name] then return false end
-  end
-  return true
 end
 
 -- Lists the functions of a text that begin and end as `f` does, and have its upvalues
@@ -220,7 +208,7 @@ local function candidates(functions, f, info)
     local is_there = node.line == info.linedefined
       and (not last or last.line == info.lastlinedefined)
     if is_there and (not count or count == parameters)
-      and are_equal(own.upvalues, upvalues) then
+      and match.are_equal(own.upvalues, upvalues) then
       list[#list + 1] = own
     end
   end

@@ -23,7 +23,6 @@ local rawequal, rawget, select = rawequal, rawget, select
 local setmetatable, type = setmetatable, type
 local concat, huge = table.concat, math.huge
 local getinfo = (rawget(_G, "debug") or {}).getinfo
-local getupvalue = (rawget(_G, "debug") or {}).getupvalue
 
 local writes = {}
 
@@ -79,18 +78,6 @@ end
 local BESIDE = { ["_checks.lua"] = true, ["_seqand.lua"] = true,
   ["_timeevent.lua"] = true, ["pp.lua"] = true }
 
---- List the upvalues of a function, each with its name and value.
----@return { name: string, value: any }[]
-function writes.upvalues_of(callback)
-  local list, i = {}, 1
-  while getupvalue do
-    local name, value = getupvalue(callback, i)
-    if not name then break end
-    list[i], i = { name = name, value = value }, i + 1
-  end
-  return list
-end
-
 -- Is a function with this `source` from a file of this library? A chart in the same
 -- folder may have a name that begins with rfsm_, too.
 local function is_own(source)
@@ -142,7 +129,7 @@ local function text_in(lines, f, info)
   local last = lines[info.lastlinedefined] and info.lastlinedefined or 0
   local text = concat(lines, "\n", info.linedefined, last)
     :match(FUNCTION .. ".*%f[%w_]end%f[^%w_]")
-  local has_names = order.all(writes.upvalues_of(f), function(upvalue)
+  local has_names = order.all(calls.upvalues_of(f), function(upvalue)
     return upvalue.name == "_ENV" or text and upvalue.name:find("^[%w_]+$")
       and text:find("%f[%w_]" .. upvalue.name .. "%f[^%w_]")
   end)
@@ -283,7 +270,7 @@ function writes.each(callback, f, seen)
   if not text then return false end
   seen[callback] = true
   local upvalues = {}
-  for _, upvalue in ipairs(writes.upvalues_of(callback)) do
+  for _, upvalue in ipairs(calls.upvalues_of(callback)) do
     upvalues[upvalue.name] = upvalue.value
   end
   if f(text, callback, upvalues) then return true end

@@ -13,11 +13,13 @@ local chart = require "rfsm.shared.chart"
 local names = require "rfsm.observe.names"
 local terminal = require "rfsm.sim.terminal"
 local typed = require "rfsm.shared.typed"
-local values = require "rfsm.observe.values"
 local rfsm = require "rfsm"
+local rfsmpp = require "rfsmpp"
 
 local _G, error, ipairs, pairs, pcall = _G, error, ipairs, pairs, pcall
-local rawget, setmetatable, type = rawget, setmetatable, type
+local print, rawget, select = print, rawget, select
+local setmetatable, type = setmetatable, type
+local concat = table.concat
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 local load = rawget(_G, "loadstring") or rawget(_G, "load")
 local complain, first_line = terminal.complain, chart.first_line
@@ -134,11 +136,18 @@ local function explain(sim, problem)
   return name and problem_of_missing(sim, name, {}) or problem
 end
 
+-- Prints the values of an expression in one line, if there are any.
+local function print_values(...)
+  local texts = {}
+  for i = 1, select("#", ...) do texts[i] = rfsmpp.value_text((select(i, ...))) end
+  if texts[1] then print(concat(texts, "\t")) end
+end
+
 -- Calls a chunk. Returns true; if it fails, returns false and the problem in one line.
 local function call(sim, chunk)
   local release = sim:guard_doos()
   terminal.settle()
-  local ok, failure = pcall(chunk, values.print_values)
+  local ok, failure = pcall(chunk, print_values)
   release()
   if ok then return true end
   local problem = first_line(failure):gsub("^.*:%d+: (interrupted!)$", "%1")

@@ -10,6 +10,7 @@
 -- @module rfsm.web.http
 -- @license BSD-3-Clause
 
+local advice = require "rfsm.advice"
 local opts = require "rfsm.shared.options"
 local socket = require "socket"
 
@@ -52,7 +53,7 @@ local function parse_headers(lines)
   for line in lines:gmatch("\r\n([^\r\n]*)") do
     local name, value = line:match("^([%w_-]+):%s*(.-)%s*$")
     if not name then return nil end
-    name = name:gsub("I", "i"):lower() -- Turkish has another small I
+    name = advice.lower(name)
     if IS_SINGLE[name] and headers[name] then return nil end
     headers[name] = value
   end

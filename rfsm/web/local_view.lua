@@ -11,6 +11,7 @@
 
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
+local rfsmpp = require "rfsmpp"
 local calls = require "rfsm.shared.calls"
 local marsh = require "rfsm.marsh"
 local match = require "rfsm.shared.match"
@@ -19,7 +20,6 @@ local breakpoints = require "rfsm.observe.breakpoints"
 local clock = require "rfsm.clock"
 local instrument = require "rfsm.shared.instrument"
 local stream = require "rfsm.observe.stream"
-local values = require "rfsm.observe.values"
 local why = require "rfsm.observe.why"
 local View = require "rfsm.web.view"
 
@@ -237,7 +237,7 @@ local function data_of(state)
     local value = rawget(state, key)
     local is_data = type(key) == "string" and not rfsm.is_meta(key)
       and type(value) ~= "function" and not rfsm.is_fsmobj(value)
-    if is_data then texts[#texts + 1] = key .. " = " .. values.value(value) end
+    if is_data then texts[#texts + 1] = key .. " = " .. rfsmpp.value_text(value) end
   end
   return texts
 end
