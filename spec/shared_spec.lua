@@ -123,10 +123,10 @@ describe("a file", function()
     package.path = "/nothing/?.lua;/tmp/?.lua;" .. path
     finally(function() package.path = path end)
     files.write(NAME, "x")
-    assert.equal("x", files.find("rfsm_shared_spec", ".txt"))
+    assert.equal("x", (files.find("rfsm_shared_spec", ".txt")))
     files.write(NAME, "\27Lua")
     assert.is_nil(files.find("rfsm_shared_spec", ".txt"))
-    assert.matches("^%-%-%- Files", files.find("rfsm/shared/files"))
+    assert.matches("^%-%-%- Files", (files.find("rfsm/shared/files")))
   end)
 
   it("of random bytes gives digits, others each time", function()

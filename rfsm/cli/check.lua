@@ -45,8 +45,7 @@ function check.add_arguments(command)
   command:option("--tests", "write a spec that takes every transition")
     :argname("KIND"):choices { "busted" }
   command:flag("--callbacks", "tests: run entries, exits and effects, too")
-  common.add_option(command, "-o --output", "tests: file to write, - for stdout")
-    :argname("FILE")
+  common.add_output(command, "tests: file to write, - for stdout")
 end
 
 -- Writes to stderr the lines that are in only one text: - in the old one, + in the new.

@@ -59,9 +59,6 @@ function common.try(result, problem)
   return result or common.fail(problem)
 end
 
--- Returns a text as a word of the shell.
-function common.quoted(text) return "'" .. text:gsub("'", "'\\''") .. "'" end
-
 -- Returns the results of f(...), and discards the text that it prints. An error in `f`
 -- ends the program with a message that names the file.
 function common.call(file, f, ...)
@@ -98,6 +95,10 @@ end
 function common.add_option(command, names, text, default)
   local short, long = names:match("(%-%a) (%-%-%a+)")
   return command:option(short, text, default):hidden_name(long):target(long:sub(3))
+end
+
+function common.add_output(command, text, default)
+  common.add_option(command, "-o --output", text, default):argname("FILE")
 end
 
 function common.add_stub(command)
@@ -196,15 +197,26 @@ common.CHART_NAMES = "The name of a chart is that of its file; NAME=FILE gives a
 
 common.SIZE = opts.whole(1, 1e6) -- for the length of a list that a server keeps
 
--- Adds the arguments for a library of charts: the files, and how many ids of events it
--- keeps, and for how long.
-function common.add_charts(command)
+-- Adds the arguments for a library of charts: the files, how many ids of events it
+-- keeps, and for how long, and where it goes: into a file, or into a server.
+function common.add_charts(command, server, load)
   command:argument("files", "Lua files that return a chart"):args("*")
     :argname("[NAME=]FILE"):convert(with_slashes)
   common.add_number(command, "--ids", "keep so many ids of events of each machine, "
     .. "default 16; with --ids-for 1000", common.SIZE)
   common.add_number(command, "--ids-for", "keep ids of events for so many seconds",
     common.SIZE):argname("S")
+  common.add_output(command, "file to write; - is stdout")
+  common.add_option(command, "-l --load", load):argname(server)
+end
+
+-- Calls load(text, server) if the option --load names a server. Writes the text to the
+-- output, and to stdout if there is neither.
+function common.deliver(text, options, load)
+  if options.load then load(text, options.load) end
+  if options.output or not options.load then
+    common.write(options.output or "-", text)
+  end
 end
 
 -- Returns the text of a library, which bundle(files, settings) makes. If a chart is

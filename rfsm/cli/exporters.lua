@@ -25,8 +25,7 @@ local function add_arguments(command)
   common.add_files(command)
   common.add_stub(command)
   common.add_machine(command)
-  common.add_option(command, "-o --output", "one file for all; - is stdout")
-    :argname("FILE")
+  common.add_output(command, "one file for all; - is stdout")
 end
 
 -- Writes a text to the file beside a chart, and warns if the file had another text.

@@ -12,11 +12,7 @@ local postgres = {
 }
 
 function postgres.add_arguments(command)
-  common.add_charts(command)
-  common.add_option(command, "-o --output", "file to write; - is stdout")
-    :argname("FILE")
-  common.add_option(command, "-l --load", "load it there, by psql")
-    :argname("DATABASE")
+  common.add_charts(command, "DATABASE", "load it there, by psql")
   command:option("--stats", "print the numbers there, for Prometheus")
     :argname("DATABASE")
   command:flag("--client", "only tables, for rfsm.postgres, without PL/Lua")
@@ -31,7 +27,7 @@ end
 -- with this status.
 local function run(sql, database, status)
   local ok, output, log = programs.run("psql -XAqt -v ON_ERROR_STOP=1 -v "
-    .. "VERBOSITY=terse -d " .. common.quoted(database):gsub("%%", "%%%%")
+    .. "VERBOSITY=terse -d " .. programs.quoted(database):gsub("%%", "%%%%")
     .. " -f %s", sql)
   if ok then return output, log end
   common.fail(log:match("ERROR: *([^\n]*)") or log:match("[^\n]+") or "psql failed",
@@ -58,10 +54,7 @@ function postgres.run(options, parser)
   else
     text = script.tables(settings)
   end
-  if options.load then load(text, options.load) end
-  if options.output or not options.load then
-    common.write(options.output or "-", text)
-  end
+  common.deliver(text, options, load)
 end
 
 return postgres

@@ -13,11 +13,7 @@ local redis = {
 }
 
 function redis.add_arguments(command)
-  common.add_charts(command)
-  common.add_option(command, "-o --output", "file to write; - is stdout")
-    :argname("FILE")
-  common.add_option(command, "-l --load", "load the library into this server")
-    :argname("URL")
+  common.add_charts(command, "URL", "load the library into this server")
   command:flag("--index", "machines can be found by their state")
   common.add_number(command, "--history", "keep so many moves of each machine",
     common.SIZE)
@@ -45,7 +41,8 @@ end
 
 -- Loads a library. Tells of a chart that the library before had, and this one has not:
 -- it may be left out by mistake.
-local function load(text, fleet)
+local function load(text, url)
+  local fleet = connect(url)
   local before = fleet:charts() or {}
   common.try(fleet:load(text))
   local after = fleet:charts() or {}
@@ -66,10 +63,7 @@ function redis.run(options, parser)
   if options.diff then return compare(options.files) and 0 or 1 end
   local text = common.library_of(require("rfsm.redis").bundle, options, parser,
     { index = options.index, history = options.history })
-  if options.load then load(text, connect(options.load)) end
-  if options.output or not options.load then
-    common.write(options.output or "-", text)
-  end
+  common.deliver(text, options, load)
 end
 
 return redis

@@ -5,6 +5,7 @@
 
 local common = require "rfsm.cli.common"
 local files = require "rfsm.shared.files"
+local quoted = require("rfsm.shared.programs").quoted
 local rfsm = require "rfsm"
 
 local io, ipairs, package = io, ipairs, package
@@ -41,14 +42,6 @@ local RTTLIB = { heap = 94, pool = 117 }
 -- A pool needs room for garbage: it is larger than the memory in use by this factor.
 local ROOM = 1.2
 
--- Returns the name of the Lua file that measures.
-local function find_program()
-  for template in package.path:gmatch("[^;]+") do
-    local name = template:gsub("%?", "rfsm/cli/measure")
-    if files.read(name) then return name end
-  end
-end
-
 -- Notes a value that rfsm/cli/measure.lua prints. A value with a factor is KiB of heap.
 local function note(values, key, value)
   local factor, sum = FACTORS[key], values.together
@@ -60,9 +53,10 @@ end
 
 -- Returns the measured values of a form by name; nil if the Lua loads no stripped code.
 local function measure(options, form, kind, name)
+  local _, program = files.find "rfsm/cli/measure"
   local pipe = io.popen(("%s %s %s %s %s %s %s 2>&1"):format(options.lua,
-    common.quoted(find_program()), form, common.quoted(package.path), kind,
-    common.quoted(name), options.stub and "stub" or ""))
+    quoted(program), form, quoted(package.path), kind, quoted(name),
+    options.stub and "stub" or ""))
   local base, last = BASE[form], "nothing"
   local values = { base = base, rttlib = RTTLIB,
     together = { heap = base.heap, pool = base.pool } }

@@ -8,6 +8,7 @@ local exporters = require "rfsm.cli.exporters"
 local dot = require "rfsm.dot"
 local order = require "rfsm.shared.order"
 local pages = require "rfsm.cli.pages"
+local quoted = require("rfsm.shared.programs").quoted
 
 local concat = table.concat
 
@@ -29,8 +30,7 @@ function viz.add_arguments(command)
   common.add_machine(command)
   common.add_option(command, "-T --format", concat(FORMATS, ", "))
     :argname("FORMAT"):choices(FORMATS)
-  common.add_option(command, "-o --output", "file to write; - is stdout", "-")
-    :argname("FILE")
+  common.add_output(command, "file to write; - is stdout", "-")
   command:option("--active", "draw state FQN as active, once for each region")
     :argname("FQN"):count("*")
   common.add_number(command, "--depth", "draw N levels of states")
@@ -115,7 +115,7 @@ local function write_pages(options, machine, looks, format)
   if format == "pdf" and output:find("%.pdf$") then
     return common.write(output, common.try(pages.join(pictures)))
   end
-  os.execute("mkdir -p " .. common.quoted(output))
+  os.execute("mkdir -p " .. quoted(output))
   for i, page in ipairs(list) do
     common.write(output .. "/" .. page.file, pictures[i])
   end

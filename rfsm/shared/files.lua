@@ -45,13 +45,13 @@ function files.replace(name, text)
   return false, problem
 end
 
---- Search `package.path` for a file that is not bytecode; return its text or nil.
--- `name` has slashes and no ending; `ending` is ".lua" by default.
+--- Search `package.path` for a file that is not bytecode; return its text and name, or
+-- nil. `name` has slashes and no ending; `ending` is ".lua" by default.
 function files.find(name, ending)
   for template in package.path:gmatch("[^;]+") do
     local file = template:gsub("%?", name):gsub("%.lua$", ending or ".lua")
     local text = files.read(file)
-    if text and text:byte() ~= 27 then return text end
+    if text and text:byte() ~= 27 then return text, file end
   end
 end
 

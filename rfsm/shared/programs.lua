@@ -13,6 +13,9 @@ local programs = {}
 local COMMAND = "{ %s; } >'%s' 2>'%s' </dev/null; rc=$?; [ $rc -le 128 ] || "
   .. "echo killed by signal $((rc - 128)) >'%s'; exit $rc"
 
+--- Return a text as a word of the shell.
+function programs.quoted(text) return "'" .. text:gsub("'", "'\\''") .. "'" end
+
 local function succeeds(command)
   local status = os.execute(command)
   return status == true or status == 0

@@ -9,6 +9,7 @@
 
 local dot = require "rfsm.dot"
 local files = require "rfsm.shared.files"
+local quoted = require("rfsm.shared.programs").quoted
 local rfsm = require "rfsm"
 
 local io, ipairs, os, package, pairs = io, ipairs, os, package, pairs
@@ -74,8 +75,6 @@ local function own_interpreter()
   local name = type(arguments) == "table" and arguments[i] or ""
   return name:find("^[%w/._-]*$") and name:find("lua[^/]*$") and name or nil
 end
-
-local function quoted(text) return "'" .. text:gsub("'", "'\\''") .. "'" end
 
 -- Starts the process in the background, so that closing the pipe does not wait for it.
 -- The shell closes inherited file descriptors up to 9, the process closes the others.
