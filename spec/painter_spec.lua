@@ -2,6 +2,7 @@
 
 local helper = require "spec.helper"
 local marsh = require "rfsm.marsh"
+local LocalView = require "rfsm.web.local_view"
 local Painter = require "rfsm.web.picture"
 local rfsm = require "rfsm"
 require "socket" -- without it a pipe that is closed ends the program
@@ -34,7 +35,7 @@ describe("a painter", function()
 
   -- off, on{ dim }
   local function nested()
-    return marsh.model2tab(helper.init(state { info = false, warn = false,
+    return marsh.jsontab(helper.init(state { info = false, warn = false,
       off = state {}, trans { src = "initial", tgt = "off" },
       on = state { dim = state {}, trans { src = "initial", tgt = "dim" } },
       trans { src = "off", tgt = "on" } }), true)
@@ -61,10 +62,20 @@ describe("a painter", function()
     local tab = helper.lamp()
     tab.subnodes[2].id, tab.subnodes[2].doc = 'a"\\b', "two\nlines\0\r"
     for _, tr in ipairs(tab.transitions) do
-      tr.pn, tr.words, tr.events = 0.5, { "any thing" }, { print }
+      tr.pn, tr.words, tr.events = 0.5, { "any thing" }, { "e_any" }
       tr.src, tr.tgt = "root.initial", 'root.a"\\b'
     end
     assert.matches(">any thing %(pn 0.5%)<", drawn("a", request(tab)))
+  end)
+
+  it("draws a machine of a page, with any events and priorities", function()
+    local view = LocalView.new(helper.init(state { info = false, warn = false,
+      a = state {}, trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "a", events = { print, {}, rfsm.named "e_x", true },
+        pn = 1 / 0 } }), os.clock)
+    local svg = drawn("a", request(view.description))
+    assert.matches("e_x, true<", svg)
+    assert.matches(">%(pn inf%)<", svg)
   end)
 
   it("keeps the last pictures", function()

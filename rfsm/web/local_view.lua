@@ -270,7 +270,7 @@ function LocalView.new(fsm, time)
   view.fsm, view.machines, view.numbers, view.node_of = fsm, rfsm.machines(fsm), {}, {}
   view.lost, view.last_lost, view.entered, view.path = {}, {}, {}, {}
   view.points, view.hit, view.stream, view.changes = {}, false, false, {}
-  view.has_timer = false
+  view.has_timer, view.description = false, marsh.jsontab(fsm, true)
   for _, at in ipairs(view.machines) do
     add_machine(view, at)
     count_failures(view, at.machine)

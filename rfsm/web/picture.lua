@@ -1,8 +1,8 @@
 --- Pictures for pages: another process draws them, and the server does not wait.
 --
 -- The process is started when a page asks for the first picture, and ends with the
--- server. It reads names of files from its stdin. Each file is a Lua program that
--- returns a request. The process writes the picture to a file beside that file.
+-- server. It reads names of files from its stdin. Each file has a request as JSON. The
+-- process writes the picture to a file beside that file.
 --
 -- @module rfsm.web.picture
 -- @license BSD-3-Clause
@@ -10,12 +10,10 @@
 local dot = require "rfsm.dot"
 local files = require "rfsm.shared.files"
 local quoted = require("rfsm.shared.programs").quoted
-local rfsm = require "rfsm"
 
-local io, ipairs, os, package, pairs = io, ipairs, os, package, pairs
+local io, ipairs, os, package = io, ipairs, os, package
 local pcall, rawget, require, setmetatable = pcall, rawget, require, setmetatable
-local tostring, type = tostring, type
-local concat, remove = table.concat, table.remove
+local remove, type = table.remove, type
 
 --- The painter of a server: has another process draw pictures.
 ---@class rfsm.web.Painter
@@ -27,38 +25,10 @@ Painter.__index = Painter
 --- A picture that a page has asked for.
 ---@class rfsm.web.Job
 ---@field key string
----@field request { graph: rfsm.marsh.Node, folded: string[], machine: integer }
+---@field request { graph: table, folded: string[], machine: integer } the graph as
+-- `marsh.jsontab` returns it
 ---@field input string name of the file with the request
 ---@field svg string|false|nil the picture; false if it failed, nil while it is drawn
-
--- Requests: a description as a Lua program ------------------------------------
-
--- Appends a value of a description as Lua text. An event is replaced by 1, since
--- pictures show only the texts of events.
-local function add_value(texts, value, key)
-  local kind = type(value)
-  if kind == "table" and key ~= "events" then
-    texts[#texts + 1] = "{"
-    for name, inner in pairs(value) do -- any order: the fields of a constructor
-      texts[#texts + 1] = (type(name) == "number" and "[%d]=" or "[%q]="):format(name)
-      add_value(texts, inner, name)
-      texts[#texts + 1] = ","
-    end
-    texts[#texts + 1] = "}"
-  elseif kind == "table" then
-    texts[#texts + 1] = "{" .. ("1,"):rep(#value) .. "}"
-  elseif kind == "number" then
-    texts[#texts + 1] = ("(tonumber %q or 1/0)"):format(rfsm.number_text(value))
-  else
-    texts[#texts + 1] = kind == "string" and ("%q"):format(value) or tostring(value)
-  end
-end
-
-local function text_of(request)
-  local texts = { "return " }
-  add_value(texts, request)
-  return concat(texts)
-end
 
 -- The process -----------------------------------------------------------------
 
@@ -121,7 +91,7 @@ function Painter.serve()
   local last = {} -- the last picture of each machine, by number of the machine
   for name in io.lines() do
     local request = files.read(name)
-    request = request and (rawget(_G, "loadstring") or rawget(_G, "load"))(request)()
+    request = request and require("dkjson").decode(request, 1, nil)
     local ok, svg = pcall(Painter.draw, request, last[request.machine])
     last[request.machine] = ok and svg or nil
     files.write(name .. ".part", ok and svg or "")
@@ -139,7 +109,8 @@ function Painter.new() return setmetatable({ jobs = {}, pipe = false }, Painter)
 -- Sends a job to the process, which is started if it does not run.
 function Painter:start(job)
   job.input = os.tmpname()
-  if not files.write(job.input, text_of(job.request)) then job.svg = false end
+  local text = require("dkjson").encode(job.request)
+  if not files.write(job.input, text) then job.svg = false end
   for _ = 1, 2 do
     self.pipe = self.pipe or start()
     local is_sent = self.pipe and self.pipe:write(job.input, "\n") and self.pipe:flush()
