@@ -21,10 +21,9 @@ local location = require "rfsm.shared.location"
 local order = require "rfsm.shared.order"
 local writes = require "rfsm.shared.writes"
 
-local _G, error, getmetatable, ipairs, next = _G, error, getmetatable, ipairs, next
+local _G, error, getmetatable, ipairs = _G, error, getmetatable, ipairs
 local rawequal, rawget = rawequal, rawget
-local jit, math = rawget(_G, "jit"), math
-local rawset, setmetatable, type = rawset, setmetatable, type
+local math, rawset, setmetatable, type = math, rawset, setmetatable, type
 local package = rawget(_G, "package")
 local setupvalue = (rawget(_G, "debug") or {}).setupvalue
 local getupvalue = (rawget(_G, "debug") or {}).getupvalue
@@ -52,7 +51,6 @@ Memory.__index = Memory
 ---@field of table the table itself
 ---@field name string path of the table: "on", "trans[2]"; empty for the machine
 ---@field kept table<any, any> the first values, by key
----@field count integer the number of first values
 ---@field followed table<any, true> keys of the fields that the option `vars` names, and
 -- of those that are not compared
 
@@ -85,7 +83,7 @@ local function add_datum(self, home, key, value, is_left_out, has_places)
   if is_left_out then
     home.followed[key] = true
   else
-    home.kept[key], home.count = value, home.count + 1
+    home.kept[key] = value
   end
   if has_places then
     self.places[path_to(home.name, key)] = { home = home, key = key }
@@ -97,7 +95,7 @@ end
 local function add_home(self, of, name, has_places)
   self.seen[of], self.is_cut = true, #self.homes == self.most
   if self.is_cut then return end
-  local home, keys = { of = of, name = name, kept = {}, count = 0, followed = {} }, {}
+  local home, keys = { of = of, name = name, kept = {}, followed = {} }, {}
   self.homes[#self.homes + 1] = home
   for key, value in order.each(of) do -- any order: each stands alone
     local is_left_out = is_made(self, of, key, value)
@@ -160,39 +158,23 @@ local function is_same(a, b)
   return rawequal(a, b) or a ~= a and b ~= b -- NaN
 end
 
--- May the fields of a table have changed? The answer may be true without a change, if a
--- value is NaN or a field in `vars` was removed; `restore` compares exactly.
-local function has_changed(home)
-  local kept, followed, count = home.kept, home.followed, 0
-  for key, value in next, home.of do -- any order: one change is enough
-    local first = kept[key]
-    if first ~= nil then count = count + 1 end
-    if not (rawequal(first, value) or followed[key])
-      and (first ~= nil and not is_same(first, value) or is_datum(key, value)) then
-      return true
-    end
-  end
-  return count < home.count
-end
-
-if jit then jit.off(has_changed) end -- LuaJIT may compile its loop over `next` wrongly
-
 -- Puts back the data of a home that `vars` does not name. Returns a text that names the
 -- first field, in the order of keys, that had changed; nil if no such field had.
 local function restore(home)
-  local keys, changed = {}, nil
-  for key in order.each(home.kept) do keys[key] = true end -- any order: sorted below
-  for key, value in order.each(home.of) do -- any order: sorted below
-    keys[key] = keys[key] or is_datum(key, value) or nil
+  local of, kept, changed = home.of, home.kept, {}
+  for key, value in order.each(of) do -- any order: sorted below
+    local is_own = kept[key] ~= nil or is_datum(key, value)
+    if is_own and not is_same(value, kept[key]) then changed[key] = true end
   end
-  for _, key in ipairs(rfsm.sorted_keys(keys)) do
-    local first = home.kept[key]
-    if not (home.followed[key] or is_same(rawget(home.of, key), first)) then
-      rawset(home.of, key, first)
-      changed = changed or ("the field '%s'"):format(path_to(home.name, key))
-    end
+  for key in order.each(kept) do -- any order: sorted below
+    if rawget(of, key) == nil then changed[key] = true end
   end
-  return changed
+  if order.is_empty(changed) then return nil end
+  for key in order.each(home.followed) do changed[key] = nil end -- any order
+  local keys = rfsm.sorted_keys(changed)
+  for _, key in ipairs(keys) do rawset(of, key, kept[key]) end
+  return keys[1] ~= nil and ("the field '%s'"):format(path_to(home.name, keys[1]))
+    or nil
 end
 
 --- Put back the data that `vars` does not name.
@@ -200,8 +182,8 @@ end
 function Memory:put_back()
   local text
   for _, home in ipairs(self.homes) do
-    local changed = has_changed(home) and restore(home)
-    text = text or changed or nil
+    local changed = restore(home)
+    text = text or changed
   end
   for _, cell in ipairs(self.cells) do
     if not is_same(cell.read(), cell.value) then
