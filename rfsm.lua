@@ -183,9 +183,23 @@ end
 
 local is_meta, is_node, is_state = rfsm.is_meta, rfsm.is_node, rfsm.is_state
 
+-- Returns `state` if it is an element of a machine, nil if it is one of a model.
+local function live(state)
+  return not rawequal(rfsm.model_of(state), state) and state or nil
+end
+
+-- Is a value an element of the state in which it is? A program may keep elements in any
+-- field of `owner`, a part of a machine. Those of a machine know where they belong.
+local function is_member(value, key, owner)
+  if type(value) ~= "table" or is_meta(key) or not kind_of(value) then return false end
+  return owner == nil
+    or rawequal(rawget(value, "_parent"), owner) and rawequal(rawget(value, "_id"), key)
+end
+
 local function has_nodes(state)
+  local owner = live(state)
   for key, value in pairs(state) do -- any order: one node is enough
-    if not is_meta(key) and is_node(value) then return true end
+    if is_node(value) and is_member(value, key, owner) then return true end
   end
   return false
 end
@@ -389,12 +403,13 @@ end
 
 --- Return the keys of a table, numbers ascending, then others by text, for extensions.
 ---@param t table
----@param pred? fun(value: any, key: any): boolean true for the keys to return
+---@param pred? fun(value: any, key: any, ...): boolean true for the keys to return
+---@param ... any further arguments of `pred`
 ---@return any[] keys
-function rfsm.sorted_keys(t, pred)
+function rfsm.sorted_keys(t, pred, ...)
   local keys = {}
   for key, value in next, t do -- any order: sorted
-    if not pred or pred(value, key) then keys[#keys + 1] = key end
+    if not pred or pred(value, key, ...) then keys[#keys + 1] = key end
   end
   sort(keys, key_before)
   return keys
@@ -3357,12 +3372,9 @@ function rfsm.mapfsm(f, fsm, pred, depth)
   engine.check_function(f, "rfsm.mapfsm")
   if type(fsm) ~= "table" then error("rfsm.mapfsm: state expected, " .. got(fsm), 2) end
   local results = {}
-  local function is_member(value, key)
-    return type(value) == "table" and not is_meta(key) and kind_of(value) ~= nil
-  end
   local function map_members(state, levels)
     if levels < 1 then return end
-    for _, key in ipairs(sorted_keys(state, is_member)) do
+    for _, key in ipairs(sorted_keys(state, is_member, live(state))) do
       local obj = state[key]
       if not pred or pred(obj) then results[#results + 1] = f(obj, state, key) end
       if is_state(obj) then map_members(obj, levels - 1) end
