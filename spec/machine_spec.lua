@@ -2,9 +2,7 @@
 -- those who walk it and write into it.
 
 local helper = require "spec.helper"
-local record = require "rfsm.record"
 local rfsm = require "rfsm"
-local snapshot = require "rfsm.snapshot"
 
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
@@ -700,29 +698,5 @@ describe("a machine that shares a plan", function()
       assert.equal("rfsm.fsm_merge: " .. case[1],
         (select(2, rfsm.fsm_merge(fsm, unpack(case, 2)))))
     end
-  end)
-end)
-
-describe("a field in which a program keeps an element", function()
-  local function shown(fsm)
-    local places = {}
-    for i, at in ipairs(rfsm.elements(fsm)) do places[i] = rfsm.location_of(at) end
-    places[#places + 1] = require("rfsm.json").encode(fsm)
-    places[#places + 1] = require("rfsmpp").fsm2str(fsm)
-    places[#places + 1] = snapshot.take(fsm).chart
-    places[#places + 1] = rfsm.fsmobj_tochar(fsm.a)
-    return places
-  end
-
-  it("makes it no member of the machine", function()
-    local fsm, other = helper.started(new_chart {}), helper.init(new_chart {})
-    local expected = shown(fsm)
-    fsm.last, fsm.other, fsm[9], fsm.tr = fsm.a, other, fsm.c, fsm[2]
-    fsm.model = state {}
-    fsm.a.back, fsm.a.me, fsm.a.root, fsm.c.last = fsm.c, fsm.a, fsm, fsm.c.x
-    assert.same(expected, shown(fsm))
-    local recorder = record.record(fsm, {})
-    assert.equal("root.c.x", leaf_after(fsm, "e_b"))
-    recorder:stop()
   end)
 end)

@@ -8,6 +8,7 @@ local marsh = require "rfsm.marsh"
 local record = require "rfsm.record"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
+local snapshot = require "rfsm.snapshot"
 local stream = require "rfsm.observe.stream"
 
 local state, trans = rfsm.state, rfsm.trans
@@ -105,5 +106,36 @@ describe("a machine that is observed", function()
     assert.equal("near", tab.transitions[2].guard)
     finish()
     assert.equal(near, fsm[2].guard)
+  end)
+end)
+
+describe("a field in which a program keeps an element", function()
+  local function shown(fsm)
+    local places = {}
+    for i, at in ipairs(rfsm.elements(fsm)) do places[i] = rfsm.location_of(at) end
+    places[#places + 1] = require("rfsm.json").encode(fsm)
+    places[#places + 1] = require("rfsmpp").fsm2str(fsm)
+    places[#places + 1] = snapshot.take(fsm).chart
+    places[#places + 1] = rfsm.fsmobj_tochar(fsm.a)
+    return places
+  end
+
+  it("makes it no member of the machine", function()
+    local function chart()
+      return state { info = false, warn = false, a = state {},
+        c = state { x = state {}, trans { src = "initial", tgt = "x" } },
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "c", events = { "e_b" } },
+        trans { src = "c", tgt = "a", events = { "e_a" } } }
+    end
+    local fsm, other = helper.started(chart()), helper.init(chart())
+    local expected = shown(fsm)
+    fsm.last, fsm.other, fsm[9], fsm.tr = fsm.a, other, fsm.c, fsm[2]
+    fsm.model = state {}
+    fsm.a.back, fsm.a.me, fsm.a.root, fsm.c.last = fsm.c, fsm.a, fsm, fsm.c.x
+    assert.same(expected, shown(fsm))
+    local recorder = record.record(fsm, {})
+    assert.equal("root.c.x", helper.leaf_after(fsm, "e_b"))
+    recorder:stop()
   end)
 end)
