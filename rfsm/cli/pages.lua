@@ -84,7 +84,7 @@ function pages.of(tab, options, ending)
   local list, addresses = {}, {}
   add(list, tab, tab, "root", options)
   for i, page in ipairs(list) do
-    page.file = ("%02d-%s.%s"):format(i, page.fqn:gsub("%W+", "_"), ending)
+    page.file = ("%02d-%s.%s"):format(i, page.fqn:gsub("[^A-Za-z0-9]+", "_"), ending)
   end
   local function visit(inner, fqn)
     addresses[looks.quoted(looks.URL .. fqn)] = page_of(list, fqn).file

@@ -107,9 +107,11 @@ local diagram = {}
 
 -- Text ------------------------------------------------------------------------
 
---- Return a new identifier in the chart: `plain`, with a number if `plain` is in use.
-function diagram.new_id(chart, plain)
-  local id, count = plain, 1
+--- Return a new identifier in the chart: the letters and digits of a name, which are
+--- the same in each locale, with a number if that is in use.
+function diagram.new_id(chart, name)
+  local plain, count = name:gsub("[^A-Za-z0-9]", "_"), 1
+  local id = plain
   while chart.taken[id] do
     count = count + 1
     id = plain .. "_" .. count
@@ -248,11 +250,11 @@ local function is_closed(chart, fqn, depth) return depth == 0 or chart.folded[fq
 
 -- Adds a node of a description to the chart, and the nodes in it down to a depth.
 local function read_node(chart, tab, parent, fqn, depth)
-  local kind, id = diagram.kind_of(tab), fqn:gsub("%W", "_")
+  local kind = diagram.kind_of(tab)
   local is_cut = kind == "composite" and is_closed(chart, fqn, depth)
   local rows, marks = rows_of(tab)
   local node = {
-    name = clean(tab.id), fqn = fqn, id = diagram.new_id(chart, id), parent = parent,
+    name = clean(tab.id), fqn = fqn, id = diagram.new_id(chart, fqn), parent = parent,
     kind = is_cut and "leaf" or kind, is_cut = is_cut or nil,
     is_linked = chart.has_links,
     nodes = {}, arrows = {}, rows = rows, marks = marks, at = at_of(tab),
@@ -327,7 +329,7 @@ local function outside_node(chart, fqn)
   local root, node = chart.root, chart.outside[fqn]
   if node then return node end
   node = { name = clean(fqn:gsub("^root%.", "")), fqn = fqn, kind = "leaf",
-    parent = root, id = diagram.new_id(chart, fqn:gsub("%W", "_")), nodes = {},
+    parent = root, id = diagram.new_id(chart, fqn), nodes = {},
     arrows = {}, rows = {}, at = "", depth = root.depth + 1, index = #root.nodes + 1,
     is_outside = true, is_linked = true }
   chart.outside[fqn], root.nodes[node.index] = node, node
