@@ -868,6 +868,10 @@ no transition would be taken on e_b in root.b
     assert.matches("\nwith the data of now, not those of this move; where its regions "
       .. "were is not known:\nroot.trans%[2%] %(s %-> b%) would be taken",
       (sim("-q --from " .. file .. " " .. chart, "back\nwhy e_b\n")))
+    local out = sim("-q --from " .. file .. " " .. chart,
+      "back\nser e_x\nwhy e_b\nback\nforward\nevents\nreload\nwhy e_b\n")
+    assert.equal(6, select(2, out:gsub("; where its regions were is not known:", "")))
+    assert.matches("\nactive: root.s%(active%)\n", out)
   end)
 
   it("of a fleet has data and regions of then, if the history has them", function()
@@ -904,9 +908,9 @@ queue:
 active: root.s(active)
 queue:
 3	root.z
-  >1  1970-01-01 00:00:00             root.s(done)
+  >1  1970-01-01 00:00:00             root.s(active)
 with the data of now, not those of this move; where its regions were is not known:
-active: root.s(done)
+active: root.s(active)
 queue:
 4
 ]], (sim("-q --from " .. file .. " " .. chart, "back\n"

@@ -161,6 +161,20 @@ describe("why", function()
     assert.same({ "e_x", any = false }, (rfsm_checks.enabled(fsm)))
   end)
 
+  it("says nothing of regions that are not stepped any more", function()
+    local region = state { info = false, warn = false, x = state { final = true },
+      y = state {}, trans { src = "initial", tgt = "x" },
+      trans { src = "x", tgt = "y", events = { "e_y" } } }
+    local fsm = machine { c = rfsm.seqand { r = region },
+      [7] = trans { src = "a", tgt = "c", events = { "e_c" } },
+      [8] = trans { src = "c", tgt = "a", events = { "e_done" }, guard = no } }
+    helper.post_and_run(fsm, "e_c")
+    assert.equal(table.concat({ "no transition would be taken on e_y in root.c",
+      "  its regions are not stepped any more: it is done",
+      "  root.trans[8] (c -> a): waits for e_done@root.c" }, "\n"), text_of(fsm, "e_y"))
+    assert.same({ any = false }, (rfsm_checks.enabled(fsm)))
+  end)
+
   it("explains a queue of any length", function()
     local fsm = machine()
     for _ = 1, 20000 do rfsm.send_events(fsm, "e_other") end

@@ -10,6 +10,7 @@ local calls = require "rfsm.shared.calls"
 local files_of = require "rfsm.snapshot.file"
 local location = require "rfsm.shared.location"
 local rfsm = require "rfsm"
+local shape = require "rfsm.snapshot.shape"
 local snapshot = require "rfsm.snapshot"
 local typed = require "rfsm.shared.typed"
 
@@ -26,11 +27,12 @@ local function put(fsm, snap)
 end
 
 -- Returns what is known of a machine without a snapshot of then. One that was not made
--- yet has no data.
-local function snap_in(snap, leaf)
+-- yet has no data. A doo begins anew, and so do regions.
+local function snap_in(fsm, snap, leaf)
   if leaf == "" then return { version = snap.version, chart = snap.chart } end
+  local state = shape.find_state(fsm, leaf)
   return { version = snap.version, chart = snap.chart, data = snap.data, leaf = leaf,
-    done = true }
+    done = not (state and state.doo) }
 end
 
 -- Puts a machine where it was before a move. Returns whether that was possible, and
@@ -39,7 +41,7 @@ local function go_before(fsm, snap, move, before)
   local is_known = before.to == move.from and before.snap
     and calls.try(put, fsm, before.snap)
   if is_known then return true end
-  if not calls.try(put, fsm, snap_in(snap, move.from)) then return false end
+  if not calls.try(put, fsm, snap_in(fsm, snap, move.from)) then return false end
   if move.from == "" then return true end
   return true, "with the data of now, not those of this move"
     .. (location.regions_of(fsm._act_leaf)[1]

@@ -42,6 +42,7 @@ local why = {}
 ---@field kept string[] the events that an extension would keep, with the state:
 -- "e_job (root.warming defers it)"
 ---@field answers rfsm_checks.Answer[] in the order in which transitions are tried
+---@field is_done boolean the leaf is done, so that its regions are not stepped any more
 ---@field regions { name: string, why: rfsm_checks.Why }[] regions of the leaf
 
 --- Return an event that an extension keeps as text: "e_job (root.warming defers it)".
@@ -238,6 +239,9 @@ local function add_text(lines, result, indent)
   if result.kept[1] then
     lines[#lines + 1] = indent .. "  kept: " .. concat(result.kept, ", ")
   end
+  if result.is_done then
+    lines[#lines + 1] = indent .. "  its regions are not stepped any more: it is done"
+  end
   add_answers(lines, result.answers, indent .. "  ")
   for _, region in ipairs(result.regions) do
     lines[#lines + 1] = indent .. "  region " .. region.name .. ":"
@@ -247,12 +251,21 @@ end
 
 -- Public functions ----------------------------------------------------------------
 
+-- Returns the regions that the active leaf steps; and true if it is done, and has some.
+local function stepped_regions(fsm)
+  local leaf = fsm._act_leaf or {}
+  local regions = location.regions_of(leaf)
+  local is_done = leaf._mode == "done" and regions[1] ~= nil
+  return is_done and {} or regions, is_done
+end
+
 local function explain(fsm, events)
   local answers, winner, taker = answers_of(fsm, events)
+  local regions, is_done = stepped_regions(fsm)
   local result = { events = texts_of(events, full_text), fires = winner,
     answers = answers, kept = kept_texts(fsm, events, taker),
-    leaf = rfsm.get_actleaf_fqn(fsm), regions = {} }
-  for i, region in ipairs(location.regions_of(fsm._act_leaf or {})) do
+    leaf = rfsm.get_actleaf_fqn(fsm), is_done = is_done, regions = {} }
+  for i, region in ipairs(regions) do
     result.regions[i] = { name = region.name, why = explain(region.machine, events) }
   end
   return result
@@ -312,7 +325,7 @@ local function add_enabled(list, is_listed, fsm)
     end
   end
   list.any = list.any or takes_any
-  for _, region in ipairs(location.regions_of(fsm._act_leaf or {})) do
+  for _, region in ipairs((stepped_regions(fsm))) do
     add_enabled(list, is_listed, region.machine)
   end
   return list

@@ -109,6 +109,7 @@ add("events()", "list the events that would do something now", [[
 Guards are called, nothing else is.]],
 function(sim)
   if not sim.fsm._act_leaf then return print("step() enters the machine") end
+  history.show_unknown(sim)
   print((select(2, rfsm_checks.enabled(sim.fsm))))
 end)
 

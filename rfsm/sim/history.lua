@@ -77,7 +77,7 @@ end
 local function go(sim, name, number)
   local place, problem = sim.history:go(number)
   if not place then error(name .. ": " .. text_of(problem), 0) end
-  sim.came = place.about.came
+  sim.came, sim.unknown = place.about.came, place.about.unknown
 end
 
 --- Put the machine back to the end of advance n.
@@ -164,8 +164,9 @@ function history.from(sim, name)
   local count, fleet = moves.follow(sim.fsm, name, function(move, unknown)
     sim.unknown = unknown
     history.mark(sim)
-    sim.came, sim.unknown = { moves.text_of(move) }, nil
+    sim.came = { moves.text_of(move) }
   end, function() history.start(sim) end)
+  sim.unknown = nil
   sim.fleet = { machine = fleet.machine, chart = fleet.chart,
     revision = fleet.revision }
   return count, fleet.machine
@@ -180,11 +181,10 @@ function history.keep(sim, name)
   if not ok then error("save: " .. problem, 0) end
 end
 
---- Print what is not known of this place, where only the history of a fleet has it.
+--- Print what is not known of the machine, where only the history of a fleet has the
+--- place where it is, or began.
 function history.show_unknown(sim)
-  local way = sim.history
-  local place = way[way.at]
-  if place and place.about.unknown then print(place.about.unknown .. ":") end
+  if sim.unknown then print(sim.unknown .. ":") end
 end
 
 -- Show ----------------------------------------------------------------------------
