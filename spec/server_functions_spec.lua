@@ -1849,6 +1849,15 @@ describe("the desk", function()
       ["file: rfsm.snapshot: data: no state 'root' keeps a field 'q'"] =
         changed("data", { root = { q = 1 } }),
       ["file: rfsm.snapshot: no snapshot has a field 'sun'"] = changed("sun", "1"),
+      ["file: rfsm.snapshot: chart: string expected, got number"] = changed("chart", 5),
+      ["file: rfsm.snapshot: regions: table expected, got number"] =
+        changed("regions", 5),
+      ["file: fleet.time: a list of seconds and nanoseconds expected"] = (function()
+        local fleet = {}
+        for key, value in pairs(file.fleet) do fleet[key] = value end -- any order
+        fleet.time = { "1", "2" }
+        return changed("fleet", fleet)
+      end)(),
     } do
       assert.equal("ERR rfsm_push: " .. problem, refusal("push", wrong))
     end

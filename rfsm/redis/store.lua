@@ -12,6 +12,7 @@ local charts = require "rfsm.server.charts"
 local encoding = require "rfsm.snapshot.encoding"
 local keys_of = require "rfsm.server.keys"
 local lease = require "rfsm.server.lease"
+local migrate = require "rfsm.snapshot.migrate"
 local rfsm = require "rfsm"
 local times = require "rfsm.server.times"
 
@@ -404,6 +405,13 @@ end
 -- The list for a key that another program has overwritten.
 local BROKEN = { "rfsm", "(broken)", { chart = "(broken)" } }
 
+-- Reads a machine. Raises an error if something else is there.
+local function read_whole(key)
+  local list = store.read(key)
+  if list and type(list[2]) ~= "string" then fail("no chart") end
+  return list and migrate.checked(list[3]) and list
+end
+
 -- Was there a machine at a key? Then it has a timer, a place in the index, or a log.
 local function was_machine(key)
   return call("ZSCORE", keys_of.due(key), key)
@@ -417,7 +425,7 @@ local function each_machine(keys, f)
   local count, found, seen = 0, keys, {}
   local function see(key)
     if seen[key] then return end -- SCAN may list a key twice
-    local ok, list = pcall(store.read, key)
+    local ok, list = pcall(read_whole, key)
     if not ok then list = was_machine(key) and BROKEN end
     if not list then return end
     count, seen[key] = count + 1, true

@@ -66,7 +66,18 @@ local function read_file(text)
   if type(about) ~= "table" or type(snap.version) ~= "number" then
     fail("file: a machine that was pulled expected")
   end
-  return snap, about
+  local checked, wrong = encoding.attempt(migrate.checked, snap)
+  return checked or fail("file: rfsm.snapshot: %s", wrong), about
+end
+
+-- Returns the time in a file: seconds and nanoseconds; false if it has none.
+local function read_time(time)
+  if time == nil then return false end
+  local list = type(time) == "table" and time or {}
+  if type(list[1]) == "number" and type(list[2]) == "number" then
+    return list[1], list[2]
+  end
+  fail("file: fleet.time: a list of seconds and nanoseconds expected")
 end
 
 -- Checks that a file is of the machine at a key, and that the machine has not moved on
@@ -177,8 +188,7 @@ function desk.add(functions, own)
     local snap, about = read_file(args[1] or "")
     local list = own.read(key)
     check(key, list, about, optional(args[2]))
-    local time = about.time
-    times.set(time and time[1] or false, time and time[2])
+    times.set(read_time(about.time))
     charts.forget_effects()
     local machine = own.place_at(key, list, snap)
     machine.is_idle = snap.queue == nil

@@ -54,9 +54,9 @@ local function check_fields(snap, fields, where)
   fail("%s%s: %s expected, got %s", where, field, fields[field], type(snap[field]))
 end
 
--- Returns a copy of a snapshot, in which fields with null of JSON are absent. Raises an
--- error if a field has a wrong name or type.
-local function check_shape(snap)
+--- Return a copy of a snapshot, in which fields with null of JSON are absent. Raise an
+--- error if a field has a wrong name or type.
+function migrate.checked(snap)
   if type(snap) ~= "table" then fail("snapshot expected, got %s", type(snap)) end
   snap = copy_fields(snap)
   if snap.version ~= migrate.VERSION then
@@ -397,7 +397,7 @@ local function call_migrate(fsm, snap, list, options)
     refuse("migrate refused the snapshot of another chart", list)
   end
   local is_same = moved == nil or rawequal(moved, snap)
-  moved = check_shape(is_same and snap or moved)
+  moved = migrate.checked(is_same and snap or moved)
   if is_same then pack_kept(fsm, moved, nils) end
   return moved
 end
@@ -502,7 +502,7 @@ end
 -- snapshot is of the same chart
 ---@return fun(prefix: string, event: string)? is_new is the event new in this machine?
 function migrate.to(fsm, snap, options)
-  local given = check_shape(snap)
+  local given = migrate.checked(snap)
   local most = changes(fsm, given)
   if most then return adapt(fsm, given, options, most) end
   return given
