@@ -91,6 +91,20 @@ local function fields_of(list)
   return fields
 end
 
+-- Turns a list of values into a list of tables, in each of which the next values have
+-- these names. Returns nil and the problem if there is no list.
+local function rows_of(names, list, problem)
+  if not list then return nil, problem end
+  local rows = {}
+  for i = 1, #list, #names do
+    local row = {}
+    for k, name in ipairs(names) do row[name] = list[i + k - 1] end
+    row.time = rfsm.number_of(row.time)
+    rows[#rows + 1] = row
+  end
+  return rows
+end
+
 -- Calls: keys and replies ---------------------------------------------------------
 
 --- Return a machine's key in Redis. An id with a hash tag in braces is already a key.
@@ -134,14 +148,8 @@ end
 ---@return { time: number, event: string, from: string, to: string }[]? moves
 ---@return string? problem
 function Fleet:history(id, count)
-  local list, problem = self:ask("rfsm_history", id, count or 10)
-  if not list then return nil, problem end
-  local moves = {}
-  for i = 1, #list, 4 do
-    moves[#moves + 1] = { time = rfsm.number_of(list[i]), event = list[i + 1],
-      from = list[i + 2], to = list[i + 3] }
-  end
-  return moves
+  return rows_of({ "time", "event", "from", "to" },
+    self:ask("rfsm_history", id, count or 10))
 end
 
 --- Return the latest errors of a machine, the newest first.
@@ -150,13 +158,7 @@ end
 ---@return { time: number, error: string }[]? lines
 ---@return string? problem
 function Fleet:log(id, count)
-  local list, problem = self:ask("rfsm_log", id, count or 10)
-  if not list then return nil, problem end
-  local lines = {}
-  for i = 1, #list, 2 do
-    lines[#lines + 1] = { time = tonumber(list[i]), error = list[i + 1] }
-  end
-  return lines
+  return rows_of({ "time", "error" }, self:ask("rfsm_log", id, count or 10))
 end
 
 --- Call `f(leaf)` each time the active leaf of a machine changes, until `f` returns
@@ -392,13 +394,14 @@ end
 ---@field held boolean
 ---@field reason? string why it is held
 
+local FOUND = { "key", "chart", "leaf", "known", "seconds", "held" }
+
 -- Adds what rfsm_select has found among keys. If the first is gone meanwhile, the reply
 -- has all machines of its hash tag.
 local function add_found(found, reply, keys, reason)
-  for i = 1, #reply, 6 do
-    local one = { key = reply[i], chart = reply[i + 1], leaf = reply[i + 2],
-      known = reply[i + 3], seconds = rfsm.number_of(reply[i + 4]),
-      held = reply[i + 5] ~= "", reason = reply[i + 5]:match("^yes: (.*)$") }
+  for _, one in ipairs(rows_of(FOUND, reply)) do
+    one.seconds, one.reason = rfsm.number_of(one.seconds), one.held:match "^yes: (.*)$"
+    one.held = one.held ~= ""
     if keys[one.key] and (not reason or reason == one.reason) then
       found[#found + 1] = one
     end

@@ -702,7 +702,8 @@ describe("rfsm fleet", function()
     local version = machines:get(1).version
     server:cli("SET m:{0}:2 x")
     server:cli("SET m:{0}:9 'of another program'")
-    server:cli([[EVAL "redis.call('SET', KEYS[1], cmsgpack.pack({ 'rfsm' }))" 1 m:{0}:8]])
+    server:cli([[EVAL "redis.call('SET', KEYS[1], cmsgpack.pack({ 'rfsm' }))" 1 ]]
+      .. "m:{0}:8")
     assert.matches("^m:{0}:1 timed root.a newest %d+ s\nm:{0}:2 %(broken%)  broken %d+ "
       .. "s\nm:{0}:3 timed root.a newest %d+ s\n", fleet_command("list"))
     assert.equal(("(broken) broken (broken) 1\ntimed newest %s 2\n"):format(version),

@@ -35,9 +35,8 @@ command.ask = ask
 
 -- The verbs of both servers, and those that only this command has; those that write and
 -- note who has done it.
-local VERBS, NOTES = { again = { usage = "TAG ID", needs = 2 },
-  dead = { usage = "[LIMIT]", needs = 0 }, drop = { usage = "TAG ID", needs = 2 },
-  list = { usage = "", needs = 0 } }, {}
+local VERBS, NOTES = { again = { usage = "TAG ID" }, dead = { usage = "[LIMIT]" },
+  drop = { usage = "TAG ID" }, list = { usage = "" } }, {}
 verbs.map(function(verb)
   VERBS[verb.name] = verb.usage and verb or nil
   NOTES[verb.name] = verb.by and not verb.reads or nil
@@ -278,9 +277,11 @@ local function find_dead(fleet, filter)
   return found
 end
 
--- Returns how many arguments a verb has at most.
-local function most_of(usage)
-  return usage:find("...", 1, true) and ALL or select(2, usage:gsub("%S+", ""))
+-- Returns how many arguments a verb has at most, and how many it needs.
+local function number_in(usage)
+  local _, most = usage:gsub("%S+", "")
+  local _, needed = usage:gsub("%[.*", ""):gsub("%S+", "")
+  return usage:find("...", 1, true) and ALL or most, needed
 end
 
 -- For each verb that takes filters, how the items are found.
@@ -291,7 +292,7 @@ verbs.map(function(verb) MANY[verb.name] = verb.bulk and find_machines or nil en
 local function act(fleet, options, one)
   local name, arguments = options.verb, options.arguments
   if one.tag then return fleet[name](fleet, one.tag, one.id) end
-  local count = most_of(VERBS[name].usage)
+  local count = number_in(VERBS[name].usage)
   arguments[count] = options.by -- behind those that may be absent
   return fleet[name](fleet, one.key, unpack(arguments, 1, count))
 end
@@ -537,13 +538,14 @@ end
 -- The number of arguments of a verb. A filter stands in place of KEY, or of TAG ID.
 local function check_number(options, parser)
   local name, list = options.verb, options.arguments
-  local usage, needs = VERBS[name].usage, VERBS[name].needs
+  local usage = VERBS[name].usage
   local rest = usage:gsub("^KEY ?", ""):gsub("^TAG ID", "")
-  local given = options.where and most_of(usage) - most_of(rest) or 0
-  if #list + given < needs then
+  local most, needed = number_in(usage)
+  local given = options.where and most - number_in(rest) or 0
+  if #list + given < needed then
     parser:error(("%s %s expected"):format(name, given == 0 and usage
       or "--where FILTER " .. rest))
-  elseif #list + given <= most_of(usage) then
+  elseif #list + given <= most then
     return
   elseif given == 0 then
     parser:error(("%s expected, got %d arguments: '%s'"):format(

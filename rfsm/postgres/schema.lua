@@ -545,18 +545,12 @@ DO $$ BEGIN
   END IF;
 END $$;
 
+-- OLD is empty for a new machine, NEW for one that is deleted.
 CREATE OR REPLACE FUNCTION rfsm.note() RETURNS trigger LANGUAGE plpgsql AS $$
 BEGIN
-  IF TG_OP = 'DELETE' THEN
-    INSERT INTO rfsm.history (key, src) VALUES (OLD.key, OLD.state);
-  ELSIF TG_OP = 'INSERT' THEN
-    INSERT INTO rfsm.history (key, event, tgt, snapshot)
-      VALUES (NEW.key, NEW.event, NEW.state, NEW.value->2);
-  ELSE
-    INSERT INTO rfsm.history (key, event, src, tgt, snapshot)
-      VALUES (NEW.key, NEW.event, OLD.state, NEW.state,
-        CASE WHEN NEW.value <> OLD.value THEN NEW.value->2 END);
-  END IF;
+  INSERT INTO rfsm.history (key, event, src, tgt, snapshot)
+    VALUES (coalesce(NEW.key, OLD.key), NEW.event, OLD.state, NEW.state,
+      CASE WHEN NEW.value IS DISTINCT FROM OLD.value THEN NEW.value->2 END);
   RETURN NULL;
 END $$;
 ]]

@@ -5,7 +5,7 @@
 -- @module rfsm.postgres.script
 -- @license BSD-3-Clause
 
-local add_module = require("rfsm.server.bundle").add
+local bundle = require "rfsm.server.bundle"
 local host = require "rfsm.postgres.host"
 local lease = require "rfsm.server.lease"
 local library = require "rfsm.server.library"
@@ -24,13 +24,10 @@ local script = {}
 local HEAD = [[
 local globals, sandbox
 do
-  local bundled, load, pcall, outer_require = {}, load, lpcall, require
-  local function require(name)
-    return bundled[name] and bundled[name]() or outer_require(name)
-  end
+  local load, pcall, outer_require = load, lpcall, require
   %s
-  self.serve = bundled["rfsm.postgres.pllua"]()(
-    bundled["rfsm.postgres.host"](), spi, pgtype, "$ID")
+  self.serve = require "rfsm.postgres.pllua" (require "rfsm.postgres.host", spi, pgtype,
+    "$ID")
   local function finish(handler, ok, ...)
     if ok then return ok, ... end
     return ok, handler((...))
@@ -109,10 +106,10 @@ function script.tables(options) return schema_of("", options or {}) end
 function script.sql(arguments, options)
   options = options or {}
   local text, warnings = script.library(arguments, options)
-  local parts = {}
-  add_module(parts, "rfsm.server.verbs")
-  add_module(parts, "rfsm.postgres.host")
-  add_module(parts, "rfsm.postgres.pllua")
+  local parts = { bundle.HEAD }
+  for _, name in ipairs { "server.verbs", "postgres.host", "postgres.pllua" } do
+    bundle.add(parts, "rfsm." .. name)
+  end
   local code = HEAD:format(concat(parts)) .. text .. FOOT
   local id = ("%.0f"):format(sums.of(code)) -- two libraries most likely differ in it
   local values = { TAG = quote_for(code), CODE = code:gsub("%$ID", id, 1), ID = id,

@@ -405,18 +405,16 @@ end
 -- The list for a key that another program has overwritten.
 local BROKEN = { "rfsm", "(broken)", { chart = "(broken)" } }
 
--- Reads a machine. Raises an error if something else is there.
-local function read_whole(key)
-  local list = store.read(key)
-  if list and type(list[2]) ~= "string" then fail("no chart") end
-  return list and migrate.checked(list[3]) and list
-end
-
--- Was there a machine at a key? Then it has a timer, a place in the index, or a log.
-local function was_machine(key)
-  return call("ZSCORE", keys_of.due(key), key)
+-- Reads a machine. Returns BROKEN if something else is at its key: there was a machine
+-- if the key has a timer, a place in the index, or a log.
+local function read_any(key)
+  local ok, list = pcall(store.read, key)
+  local is_one = list and type(list[2]) == "string" and pcall(migrate.checked, list[3])
+  if ok and (is_one or not list) then return list end
+  local was_machine = call("ZSCORE", keys_of.due(key), key)
     or call("ZSCORE", keys_of.since(key), key)
     or call("EXISTS", keys_of.log(key), keys_of.history(key)) > 0
+  return was_machine and BROKEN
 end
 
 -- Calls f(key, list) for each machine in a list of keys. If there is no machine at the
@@ -425,8 +423,7 @@ local function each_machine(keys, f)
   local count, found, seen = 0, keys, {}
   local function see(key)
     if seen[key] then return end -- SCAN may list a key twice
-    local ok, list = pcall(read_whole, key)
-    if not ok then list = was_machine(key) and BROKEN end
+    local list = read_any(key)
     if not list then return end
     count, seen[key] = count + 1, true
     f(key, list)

@@ -18,7 +18,7 @@ local snapshot = require "rfsm.snapshot"
 local getmetatable, ipairs = getmetatable, ipairs
 local pcall, rawequal, rawget, rawset = pcall, rawequal, rawget, rawset
 local setmetatable, type = setmetatable, type
-local concat = table.concat
+local abs, concat = math.abs, table.concat
 local copy_of, fail, is_meta, text_of = encoding.copy_of, encoding.fail, rfsm.is_meta,
   rfsm.text_of
 local took_path = rfsm.took_path
@@ -284,21 +284,25 @@ function charts.json_of(data) return exact_json.encode(encoding.to_json(data)) e
 
 local WORDS = { ["true"] = true, ["false"] = true, ["null"] = true }
 
-local function is_number(word)
+-- Returns the number that a word of JSON is; nil if it is none.
+local function number_of(word)
   local whole, rest = word:match("^%-?(%d+)(.*)$")
-  if not whole or whole:find("^0%d") then return false end
+  if not whole or whole:find("^0%d") then return nil end
   rest = rest:gsub("^%.%d+", "")
-  return rest == "" or rest:find("^[eE][+-]?%d+$") ~= nil
+  return (rest == "" or rest:find("^[eE][+-]?%d+$")) and rfsm.number_of(word) or nil
 end
 
--- Does a text have what some decoders of JSON take, and others refuse: a number such as
--- NaN or 0x10, or a zero byte in a text?
-local function is_odd(text)
+-- Returns the first word in a text that not each decoder of JSON reads the same, and
+-- the number that it is: NaN, 0x10, 1e999, a whole number from 2^53 on, a zero byte.
+local function find_odd(text)
   text = text:gsub("\\\\", "")
+  if text:find("\\u0000", 1, true) then return "\\u0000" end
   for word in text:gsub("\\.", ""):gsub('"[^"]*"', " "):gmatch("[%w.+-]+") do
-    if not (WORDS[word] or is_number(word)) then return true end
+    local number = number_of(word)
+    local is_exact = number and number - number == 0
+      and (word:find("[.eE]") or abs(number) < 2 ^ 53)
+    if not (is_exact or WORDS[word]) then return word, number end
   end
-  return text:find("\\u0000", 1, true) ~= nil
 end
 
 --- Decode a JSON object. It has what the host's decoder returns for null.
@@ -307,12 +311,11 @@ end
 function charts.decode_json(owner, text)
   local is_whole = text:find("}%s*$") -- some decoders raise what pcall does not catch
   local ok, data = pcall(decode, is_whole and text or "0")
-  if not ok or is_odd(text) or type(data) ~= "table" then
+  local odd, number = find_odd(text)
+  if not ok or odd and not number or type(data) ~= "table" then
     fail("%s: a JSON object expected", owner)
-  end
-  local inexact = exact_json.find_inexact(text)
-  if inexact then
-    fail("%s: the number %s: whole numbers below 2^53 expected", owner, inexact)
+  elseif odd then
+    fail("%s: the number %s: whole numbers below 2^53 expected", owner, odd)
   end
   return data
 end

@@ -51,6 +51,12 @@ end
 
 -- Push -----------------------------------------------------------------------------
 
+-- Is it a time in a file: none, or a list of seconds and nanoseconds?
+local function is_time(time)
+  return time == nil or type(time) == "table" and type(time[1]) == "number"
+    and type(time[2]) == "number"
+end
+
 -- Returns the snapshot in the text of a file, and what the file tells of its machine.
 local function read_file(text)
   if #text > MAX_FILE then
@@ -63,21 +69,12 @@ local function read_file(text)
   local snap = charts.decode_json("file (is it cut short?)", whole)
   local about = snap.fleet
   snap.fleet = nil
-  if type(about) ~= "table" or type(snap.version) ~= "number" then
+  if type(about) ~= "table" or type(snap.version) ~= "number"
+    or not is_time(about.time) then
     fail("file: a machine that was pulled expected")
   end
   local checked, wrong = encoding.attempt(migrate.checked, snap)
   return checked or fail("file: rfsm.snapshot: %s", wrong), about
-end
-
--- Returns the time in a file: seconds and nanoseconds; false if it has none.
-local function read_time(time)
-  if time == nil then return false end
-  local list = type(time) == "table" and time or {}
-  if type(list[1]) == "number" and type(list[2]) == "number" then
-    return list[1], list[2]
-  end
-  fail("file: fleet.time: a list of seconds and nanoseconds expected")
 end
 
 -- Checks that a file is of the machine at a key, and that the machine has not moved on
@@ -188,7 +185,8 @@ function desk.add(functions, own)
     local snap, about = read_file(args[1] or "")
     local list = own.read(key)
     check(key, list, about, optional(args[2]))
-    times.set(read_time(about.time))
+    local time = about.time or { false }
+    times.set(time[1], time[2])
     charts.forget_effects()
     local machine = own.place_at(key, list, snap)
     machine.is_idle = snap.queue == nil

@@ -15,8 +15,7 @@ local ipairs = ipairs
 --- arguments `args` and `id` for `rfsm.call` (NULL, NULL if absent); how the result is
 --- made, if its type does not tell it
 ---@field more_sql? string[] the same for other parameters
----@field usage? string its arguments in the command
----@field needs? integer how many of them are needed
+---@field usage? string its arguments in the command; those in brackets may be absent
 ---@field bulk? true the command takes filters in place of KEY, for many machines
 ---@field by? true in PostgreSQL only an operator may call it; if it writes, its
 --- arguments may end with `BY who`
@@ -31,48 +30,45 @@ end
 local verbs = {
   { name = "create", sql = { ", chart text, data jsonb DEFAULT '{}', id text DEFAULT "
     .. "NULL", "text", "ARRAY[chart, coalesce(data, '{}')::text], id" },
-    usage = "KEY CHART [FIELD=VALUE...]", needs = 2 },
+    usage = "KEY CHART [FIELD=VALUE...]" },
   { name = "send", sql = { ", event text, id text DEFAULT NULL", "text",
     "ARRAY[event], id" }, more_sql = { ", events text[], id text DEFAULT NULL", "text",
-    "events, id" }, usage = "KEY EVENT [ID]", needs = 2 },
+    "events, id" }, usage = "KEY EVENT [ID]" },
   { name = "send_at", sql = { ", at timestamptz, event text, id text", "text",
     "ARRAY[extract(epoch FROM at)::text, event], id" } },
   { name = "cancel", sql = { ", id text", "boolean", "ARRAY[id], NULL" },
-    usage = "KEY ID", needs = 2 },
+    usage = "KEY ID" },
   { name = "why", reads = true, sql = { ", event text", "SETOF text",
-    "ARRAY[event], NULL" }, usage = "KEY EVENT", needs = 2 },
+    "ARRAY[event], NULL" }, usage = "KEY EVENT" },
   { name = "get", reads = true, sql = { "", "TABLE (name text, value text)" },
-    usage = "KEY", needs = 1, by = true },
-  { name = "tick", sql = { "", "text" }, usage = "KEY", needs = 1, bulk = true },
-  { name = "move", sql = written("", "'{}'"), usage = "KEY", needs = 1, by = true,
-    bulk = true },
+    usage = "KEY", by = true },
+  { name = "tick", sql = { "", "text" }, usage = "KEY", bulk = true },
+  { name = "move", sql = written("", "'{}'"), usage = "KEY", by = true, bulk = true },
   { name = "hold", sql = written(", reason text DEFAULT ''",
-    "ARRAY[coalesce(reason, '')]"),
-    usage = "KEY [WHY]", needs = 1, by = true, bulk = true },
-  { name = "release", sql = written("", "'{}'"), usage = "KEY", needs = 1, by = true,
+    "ARRAY[coalesce(reason, '')]"), usage = "KEY [WHY]", by = true, bulk = true },
+  { name = "release", sql = written("", "'{}'"), usage = "KEY", by = true,
     bulk = true },
   { name = "force", sql = written(", state text", "ARRAY[state]"),
-    usage = "KEY STATE", needs = 2, by = true, bulk = true },
+    usage = "KEY STATE", by = true, bulk = true },
   { name = "remove", sql = { ", who text DEFAULT session_user", "boolean",
-    "ARRAY['BY', who], NULL" }, usage = "KEY", needs = 1, by = true, bulk = true },
-  { name = "pull", reads = true, sql = { "", "text" }, usage = "KEY [FILE]", needs = 1,
+    "ARRAY['BY', who], NULL" }, usage = "KEY", by = true, bulk = true },
+  { name = "pull", reads = true, sql = { "", "text" }, usage = "KEY [FILE]",
     by = true },
   { name = "push", sql = written(", file text, if_version bigint DEFAULT NULL",
-    "ARRAY[file, coalesce(if_version::text, '')]"), usage = "KEY FILE", needs = 2,
-    by = true },
+    "ARRAY[file, coalesce(if_version::text, '')]"), usage = "KEY FILE", by = true },
   { name = "set", sql = { ", field text, value jsonb, who text DEFAULT session_user, "
     .. "force boolean DEFAULT false", "text", "ARRAY[field, coalesce(value::text, ''), "
     .. "CASE WHEN force THEN 'force' ELSE '' END, 'BY', who], NULL", "what" },
-    usage = "KEY FIELD=VALUE", needs = 2, by = true },
-  { name = "log", reads = true, many = true, usage = "KEY [N]", needs = 1 },
-  { name = "history", reads = true, many = true, usage = "KEY [N]", needs = 1 },
+    usage = "KEY FIELD=VALUE", by = true },
+  { name = "log", reads = true, many = true, usage = "KEY [N]" },
+  { name = "history", reads = true, many = true, usage = "KEY [N]" },
   { name = "wake", many = true },
-  { name = "reindex", many = true, usage = "", needs = 0 },
-  { name = "due", reads = true, many = true, usage = "[LIMIT [TIME]]", needs = 0 },
-  { name = "find", reads = true, many = true, usage = "CHART STATE [LIMIT [SECONDS]]",
-    needs = 2 },
-  { name = "charts", reads = true, many = true, usage = "", needs = 0 },
-  { name = "versions", reads = true, many = true, usage = "", needs = 0 },
+  { name = "reindex", many = true, usage = "" },
+  { name = "due", reads = true, many = true, usage = "[LIMIT [TIME]]" },
+  { name = "find", reads = true, many = true,
+    usage = "CHART STATE [LIMIT [SECONDS]]" },
+  { name = "charts", reads = true, many = true, usage = "" },
+  { name = "versions", reads = true, many = true, usage = "" },
   { name = "select", reads = true, many = true },
   { name = "stats", reads = true, many = true },
 }

@@ -12,7 +12,6 @@ local error, getmetatable, next = error, getmetatable, next
 local pcall, rawget, tonumber, tostring = pcall, rawget, tonumber, tostring
 local type = type
 local floor = math.floor
-local find, gsub = string.find, string.gsub
 local concat, sort = table.concat, table.sort
 local number_text, text_of = rfsm.number_text, rfsm.text_of
 local jit, math_type = rawget(_G, "jit"), rawget(math, "type")
@@ -58,10 +57,9 @@ local function escape(char)
   return ESCAPES[char] or ("\\u%04x"):format(char:byte())
 end
 
-local UNSAFE = '[%c"\\]'
-
 local function quote(text)
-  return '"' .. (find(text, UNSAFE) and gsub(text, UNSAFE, escape) or text) .. '"'
+  if not text:find('[%c"\\]') then return '"' .. text .. '"' end
+  return '"' .. text:gsub('[%c"\\]', escape) .. '"'
 end
 
 local encode
@@ -133,20 +131,5 @@ end
 ---@param value any
 ---@return string text
 function exact_json.encode(value) return encode(value, 0) end
-
---- Return the first number in a text of JSON that some Lua cannot hold: a whole number
---- from 2^53 on, or one that is infinite. Nil if there is none.
----@param text string
----@return string? digits
-function exact_json.find_inexact(text)
-  text = text:gsub("\\.", ""):gsub('"[^"]*"', "")
-  for digits in text:gmatch("[%d.eE+-]+") do
-    local number = rfsm.number_of(digits) or 0
-    local is_whole = digits:find("^-?%d+$") ~= nil
-    if number - number ~= 0 or is_whole and (number >= EXACT or number <= -EXACT) then
-      return digits
-    end
-  end
-end
 
 return exact_json
