@@ -315,8 +315,8 @@ local function each_group(self, f, pattern)
       at = reply[1]
       local groups = {}
       for _, key in ipairs(reply[2]) do
-        local ok, tag = pcall(keys_of.tag, key)
-        if ok and not seen[key] and pcall(keys_of.machine, { key }) then
+        if not seen[key] and pcall(keys_of.machine, { key }) then
+          local tag = keys_of.tag(key)
           groups[tag] = groups[tag] or {}
           groups[tag][#groups[tag] + 1], seen[key] = key, true
         end

@@ -574,10 +574,11 @@ end
 ---@nodiscard
 function snapshot.take(fsm, options)
   rfsm.check_between_steps(fsm, "rfsm.snapshot.take")
-  options = read_options(options, "rfsm.snapshot.take", OPTIONS_OF_TAKE)
+  local settings = options ~= nil
+    and read_options(options, "rfsm.snapshot.take", OPTIONS_OF_TAKE) or NONE
   local ok, snap = try(take, fsm)
   if not ok then error("rfsm.snapshot.take: " .. reason(snap), 2) end
-  if options.structure then snap.structure = shape.lines_of(fsm) end
+  if settings.structure then snap.structure = shape.lines_of(fsm) end
   return snap
 end
 

@@ -46,10 +46,7 @@ end)
 -- outcome, or what was done, then one per error.
 local function lines_of(reply, verb, key)
   local what = NOTES[verb] and reply.outcome or reply.mode .. " " .. reply.outcome
-  local is_old = NOTES[verb] and not what:find "^%("
-  local lines = { (key and key .. " " or "") .. reply.leaf .. " " .. what
-    .. (is_old and " (the library in Redis is older: it notes no names)"
-    or "") }
+  local lines = { (key and key .. " " or "") .. reply.leaf .. " " .. what }
   for _, text in ipairs(reply.errors) do lines[#lines + 1] = "error: " .. text end
   return lines
 end
@@ -558,7 +555,7 @@ function command.run(options, parser)
   local name = options.verb
   check_options(options, parser)
   check_number(options, parser)
-  -- An older library would take the name of a sender for an event.
+  -- Programs send, too: an event has a name in the history only if one is given.
   if NOTES[name] then
     options.by = options.by or os.getenv("USER") or os.getenv("LOGNAME")
   end

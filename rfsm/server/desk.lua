@@ -187,7 +187,6 @@ function desk.add(functions, own)
     check(key, list, about, optional(args[2]))
     local time = about.time or { false }
     times.set(time[1], time[2])
-    charts.forget_effects()
     local machine = own.place_at(key, list, snap)
     machine.is_idle = snap.queue == nil
     own.note(machine, "(push)" .. by)

@@ -204,7 +204,6 @@ end
 
 -- Loads a machine. Its clock shows the time at which it was saved.
 local function load_machine(key, list)
-  charts.forget_effects()
   times.set(list[SEC], list[NSEC])
   local chart, ok, problem, has_moved = place(versions_of(list[NAME]), list[SNAP])
   if not ok then fail("the machine at '%s': %s", shown(key), problem) end
@@ -525,7 +524,6 @@ function functions.rfsm_create(keys, args)
   if list and id and has_id(list, id) then return reply_of(list, "known") end
   if list then fail("something is at '%s'", shown(key)) end
   times.set(false)
-  charts.forget_effects()
   local ok, problem = put(chart, chart.blank)
   if not ok then fail("%s", problem) end
   set_data(chart.fsm, args[2])
@@ -805,6 +803,7 @@ return function(server, list, settings)
   for name, f in pairs(functions) do -- any order: each stands alone
     made[name] = function(keys, args)
       times.begin()
+      charts.forget_effects()
       local ok, reply = pcall(f, keys, args or NONE)
       if ok then return reply end
       return host.refuse(name, charts.reason_of(reply))

@@ -31,8 +31,8 @@ end
 
 --- Return the time that machines see, as one number of seconds.
 function times.seen()
-  if not sec then sec, nsec = read() end
-  return sec + nsec / 1e9
+  local seconds, nanoseconds = times.get()
+  return seconds + nanoseconds / 1e9
 end
 
 --- Return the time of the call, as one number of seconds.
