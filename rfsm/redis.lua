@@ -52,7 +52,7 @@ local REGISTER = 'register("rfsm_%s", %s)\n'
 ---@param argument string
 ---@return string name
 ---@return string file
-redis.name_of = library.name_of
+function redis.name_of(argument) return library.name_of(argument) end
 
 --- Return the text of a library for FUNCTION LOAD.
 -- @raise if a chart has a problem; the error has one line

@@ -106,9 +106,14 @@ local function save_effects(server, execute, key, change)
   end
 end
 
+-- Returns the machine after a move as JSON; a list without a snapshot if that is not
+-- known, since other moves of the call follow.
+local function value_after(machine, i)
+  return machine.moves[i + 1] and "[]" or machine.value
+end
+
 -- Writes the row of a machine. Returns false if a new machine's key is taken. Each
--- move is an UPDATE, so that triggers see it. Events that moved nothing are noted, and
--- the machine behind the last move of the call.
+-- move is an UPDATE, so that triggers see it. Events that moved nothing are noted.
 local function save(server, execute, key, change)
   local machine, datum, by = change.machine, server.json.datum, nil
   local is_new = machine.leaf == false
@@ -118,8 +123,7 @@ local function save(server, execute, key, change)
     elseif move.from ~= move.to then
       execute("move", key, move.to, move.by)
     else
-      execute("note", key, move.to, move.by,
-        datum(machine.moves[i + 1] and "[]" or machine.value))
+      execute("note", key, move.to, move.by, datum(value_after(machine, i)))
     end
   end
   local written = execute(is_new and "insert" or "update", key, machine.chart.name,
