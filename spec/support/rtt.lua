@@ -275,7 +275,7 @@ end
 
 function Port.info(port)
   return {
-    name = port.name, desc = port.desc, connected = #port.connections > 0,
+    name = port.label, desc = port.desc, connected = #port.connections > 0,
     type = port.type, porttype = getmetatable(port) == InputPort and "in" or "out",
     isLocal = true,
   }
@@ -286,7 +286,7 @@ local function port_class(name, metatable)
   return class(function(kind, port_name, desc)
     default_of(kind, name .. ".new")
     return setmetatable({
-      type = kind, name = port_name or "", desc = desc or "", connections = {},
+      type = kind, label = port_name or "", desc = desc or "", connections = {},
       component = false, is_event = false, policy = policy_of(default_policy),
     }, metatable)
   end)
@@ -342,7 +342,7 @@ local function connect_ports(port, other, policy)
   if getmetatable(port) == InputPort then out, into = other, port end
   if getmetatable(out) ~= OutputPort or getmetatable(into) ~= InputPort
     or out.type ~= into.type then
-    return refuse("Port " .. port.name .. " is not compatible with " .. other.name)
+    return refuse("Port " .. port.label .. " is not compatible with " .. other.label)
   end
   policy = policy or into.policy
   local connection = { kind = policy.type, size = policy.size, from = out, to = into }
@@ -399,7 +399,7 @@ function Attribute:set(value) methods.assign(self.value, value) end
 function Attribute:getRaw() return self.value end
 
 rtt.Attribute = class(function(kind, name)
-  return setmetatable({ name = name or "", value = rtt.Variable.new(kind) }, Attribute)
+  return setmetatable({ label = name or "", value = rtt.Variable.new(kind) }, Attribute)
 end)
 
 local Property = {}
@@ -423,13 +423,13 @@ end
 -- What components and services have.
 local Service = {}
 
-function Service.getName(service) return service.name end
+function Service.getName(service) return service.label end
 
 function Service.hasOperation(service, name) return service.operations[name] ~= nil end
 
 function Service.getOperation(service, name)
   if service.operations[name] then return service.operations[name] end
-  error(("Service_getOperation: service %s has no operation %s"):format(service.name,
+  error(("Service_getOperation: service %s has no operation %s"):format(service.label,
     name), 2)
 end
 
@@ -453,7 +453,7 @@ local TASK_CONTEXT = new_metatable("TaskContext")
 
 local function new_component(name)
   local component = setmetatable({
-    name = name, state = "PreOperational", lua = false, is_triggered = false,
+    label = name, state = "PreOperational", lua = false, is_triggered = false,
     period = 0, due = false, ports = {}, peers = {}, properties = {}, operations = {},
     services = {}, hooks = {}, attributes = {},
   }, TASK_CONTEXT)
@@ -488,15 +488,15 @@ end
 
 function TaskContext.addPort(component, port, name, desc)
   port = real_of(port)
-  if not port.connections[1] then port.name = name or port.name end
+  if not port.connections[1] then port.label = name or port.label end
   port.desc = desc or port.desc
-  if component.ports[port.name] then
-    log("Warning", "'addPort' " .. port.name .. ": name already in use. Disconnecting "
+  if component.ports[port.label] then
+    log("Warning", "'addPort' " .. port.label .. ": name already in use. Disconnecting "
       .. "and replacing previous port with new one.")
-    TaskContext.removePort(component, port.name)
+    TaskContext.removePort(component, port.label)
   end
   port.component, port.is_event = component, false
-  add_named(component.ports, port.name, port)
+  add_named(component.ports, port.label, port)
 end
 
 function TaskContext.addEventPort(component, port, name, desc)
@@ -525,8 +525,8 @@ end
 
 -- The first one of a name is found.
 function TaskContext.addAttribute(component, attribute)
-  if component.attributes[attribute.name] then return end
-  add_named(component.attributes, attribute.name, attribute)
+  if component.attributes[attribute.label] then return end
+  add_named(component.attributes, attribute.label, attribute)
 end
 
 function TaskContext.getAttributeNames(component)
@@ -534,7 +534,7 @@ function TaskContext.getAttributeNames(component)
 end
 
 function TaskContext.addPeer(component, peer)
-  add_named(component.peers, peer.name, peer)
+  add_named(component.peers, peer.label, peer)
 end
 
 function TaskContext.getPeers(component)
@@ -547,7 +547,7 @@ function TaskContext.provides(component, name)
   if not name then return component end
   if component.services[name] then return component.services[name] end
   error(("Service.provides: no subservice %s of service %s"):format(tostring(name),
-    component.name), 2)
+    component.label), 2)
 end
 
 -- TaskContext: life cycle and engine -------------------------------------------
@@ -568,7 +568,7 @@ end
 local function call_function(component, lua, name, wants_result)
   local ok, result = run_in(lua, lua.call, lua, name)
   if result == lua_state.EXCEPTION then error(result, 0) end
-  local where = "LuaComponent '" .. component.name .. "': "
+  local where = "LuaComponent '" .. component.label .. "': "
   if not ok then
     log_failure(where .. "error calling function " .. name .. ": ", result)
     return false
@@ -666,7 +666,7 @@ TaskContext.cleanup = leave("Stopped", "PreOperational", "cleanupHook")
 local function stop_thread(component, problem)
   if problem ~= lua_state.EXCEPTION then error(problem, 0) end
   component.is_dead = true
-  log("Critical", component.name .. " caught a C++ exception, stopped thread !")
+  log("Critical", component.label .. " caught a C++ exception, stopped thread !")
 end
 
 -- One turn of the thread: hooks, in every state, then updateHook.
@@ -771,9 +771,9 @@ local function eehook_class(component, lua)
   end
   return class(function(name)
     name = check_string(name, "EEHook")
-    return setmetatable({ name = name, run = function()
+    return setmetatable({ label = name, run = function()
       if lua.globals[name] == nil then
-        die(component.name .. ": no (required) Lua function " .. name)
+        die(component.label .. ": no (required) Lua function " .. name)
       end
       return call_function(component, lua, name, true)
     end }, EEHook)
@@ -800,7 +800,7 @@ local function new_rttlib(lua)
       local method, call = find_method(owner, name), rawget(owner, "operations")[name]
       return method or call and function(_, ...) return call(...) end or nil
     end
-    class_of.__tostring = function(owner) return "rttlib: " .. owner.name end
+    class_of.__tostring = function(owner) return "rttlib: " .. owner.label end
   end
   for _, name in ipairs(CLASSES) do
     setmetatable(globals.rtt[name], { __call = function(self, ...)
@@ -974,7 +974,7 @@ end)
 DEPLOYER.loadService = operation(2, function(name, kind)
   local component = deployer.peers[name]
   if not component or kind ~= "Lua" then return refuse("No service " .. kind) end
-  local service = setmetatable({ name = kind, operations = {} }, SERVICE)
+  local service = setmetatable({ label = kind, operations = {} }, SERVICE)
   component.services[kind] = service
   add_lua_operations(service, new_lua(component), "LuaService '" .. name .. "': ")
   return true
