@@ -1924,14 +1924,17 @@ do
   -- `leaf._ignored` is the leaf's e_done if no transition reacts to it. Otherwise it is
   -- NaN, which equals no event.
   function engine.list_choices(leaf)
-    local choices, lists = { [OTHER] = {} }, {}
-    lists[1] = choices[OTHER]
+    local choices, other, own = {}, {}, leaf._otrs
+    local lists = { other }
+    if own.run then own.run = nil end -- nil for a new key takes memory
     local function add_to(list, tr)
       if list[#list] ~= tr then list[#list + 1] = tr end
     end
     local function add_to_events(tr)
       for _, event in ipairs(tr.events) do
-        local list = choices[event] or append({}, choices[OTHER])
+        -- the only transition of the leaf needs no second list of it
+        local is_own = tr.src == leaf and not (own[2] or other[1])
+        local list = choices[event] or is_own and own or append({}, other)
         if not choices[event] then choices[event], lists[#lists + 1] = list, list end
         add_to(list, tr)
       end
@@ -1943,16 +1946,15 @@ do
         for _, list in ipairs(is_for_all and lists or NONE) do add_to(list, tr) end
       end
     end
-    if not choices[OTHER][1] then choices[OTHER] = NO_CHOICE end
-    local done = choices[done_event(leaf)] or choices[OTHER]
-    leaf._ignored = done[1] and 0 / 0 or leaf._done_event
+    if other[1] then choices[OTHER] = other end -- absent: less memory
     leaf._choices = choices
+    leaf._ignored = choice_of(leaf, done_event(leaf))[1] and 0 / 0 or leaf._done_event
     return choices
   end
 
   function choice_of(leaf, event)
     local choices = leaf._choices ~= NONE and leaf._choices or engine.list_choices(leaf)
-    return choices[event] or choices[OTHER]
+    return choices[event] or choices[OTHER] or NO_CHOICE
   end
 
   -- Returns the candidates for `events`, and the first event that has them; nil if two
