@@ -239,7 +239,7 @@ describe("a snapshot", function()
       collectgarbage()
     end
     assert.equal(1, fsm.c.a.emem[object])
-    assert.is_nil((snapshot.take(started(nil, object)).ext or {}).emem)
+    assert.is_nil((snapshot.take((started(nil, object))).ext or {}).emem)
   end)
 
   it("of a machine without counts has none", function()
@@ -251,7 +251,7 @@ describe("a snapshot", function()
       { emem = { ["root.c"] = 5 }, problem = "table of counts expected" },
       { emem = { ["root.c"] = { e_x = "5" } }, problem = "number of events expected" },
     } do
-      local snap = snapshot.take(started(nil, "e_x"))
+      local snap = snapshot.take((started(nil, "e_x")))
       snap.ext.emem = case.emem
       local _, problem = snapshot.restore(chart(), snap)
       assert.is_truthy(problem:find(case.problem, 1, true), problem)
@@ -260,7 +260,7 @@ describe("a snapshot", function()
 
   it("counts towards the thousand", function()
     local fsm = started()
-    local snap = snapshot.take(started(nil, "e_x"))
+    local snap = snapshot.take((started(nil, "e_x")))
     for i = 1, 1000 do snap.ext.emem.root["e_pos(" .. i .. ")"] = 1 end
     assert(snapshot.put(fsm, snap))
     run(fsm, "e_new")
