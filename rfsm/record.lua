@@ -211,7 +211,7 @@ end
 -- Notes the events that wait while the iteration reads `count` events.
 local function note_queue(track, count)
   local n, is_all = tracks.note_queue(track, count)
-  track.first, track.last = 1, 0
+  track.first = nil
   if is_all then return end
   tracks.note(track.rec, "waiting", n)
   for i = n + 1, #track.held do

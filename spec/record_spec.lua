@@ -832,6 +832,36 @@ describe("the clock", function()
       { rfsm.get_actleaf_fqn(again), rawget(again, "gettime") })
   end)
 
+  it("of a replayed machine is its own: timers have the time that was left", function()
+    local now, sink = 10, {}
+    local fsm = helper.init(timed(function() return now, 0 end))
+    record.record(fsm, sink)
+    rfsm.step(fsm)
+    now = 12
+    rfsm.run(fsm)
+    now = 1000
+    local again = assert(record.replay(timed(function() return now, 0 end), sink))
+    now = 1002.9
+    assert.equal("root.a", helper.leaf_after(again))
+    now = 1003.1
+    assert.equal("root.b", helper.leaf_after(again))
+  end)
+
+  it("that was not read leaves the machine as it is", function()
+    local loads, sink = 0, {}
+    local function model()
+      return state { info = false, warn = false, a = state {},
+        trans { src = "initial", tgt = "a" }, save = function() return 1 end,
+        load = function() loads = loads + 1 end }
+    end
+    local fsm = helper.init(model())
+    record.record(fsm, sink)
+    rfsm.run(fsm)
+    loads = 0
+    assert(record.replay(model(), sink))
+    assert.equal(1, loads) -- of the snapshot at the beginning
+  end)
+
   it("may be set while the machine is recorded", function()
     local sink, fsm = {}, helper.init(timed(function() return 10, 0 end))
     local recorder = record.record(fsm, sink)

@@ -246,7 +246,7 @@ local function compare(session, track)
   elseif session.is_dry then
     return
   end
-  local sent = tracks.pack_events((tracks.sent_in(track, 1, 0)))
+  local sent = tracks.pack_events((tracks.sent_in(track)))
   if not same(comparable(sent), comparable(rec.sent)) then
     depart(session, "events sent: %s expected, got %s", list_text(rec.sent),
       list_text(sent))

@@ -104,7 +104,8 @@ function track.note_queue(own, count)
 end
 
 --- Return the events that were sent in an iteration, how many of them are ahead of
--- those that waited before, and the latter. `first` to `last` are left out.
+-- those that waited before, and the latter. Those at `first` to `last`, if these are
+--- given, are left out.
 function track.sent_in(own, first, last)
   local queue, held, ahead = own.fsm._intq, own.held, 0
   local sent, waiting = {}, {}
@@ -113,7 +114,7 @@ function track.sent_in(own, first, last)
     if next_held ~= nil and rawequal(queue[i], next_held) then
       if waiting[1] == nil then ahead = #sent end
       waiting[#waiting + 1] = next_held
-    elseif i < first or i > last then
+    elseif not first or i < first or i > last then
       sent[#sent + 1] = queue[i]
     end
   end
