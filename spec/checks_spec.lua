@@ -427,6 +427,11 @@ local CASES = {
       .. "state",
     "root.trans[5].events (k -> b): 'await(e_k)' never fires here, 'root.k' is no "
       .. "state" },
+  { "never-done", "an await in a composite without an end", { c = state { p = state {},
+      go("initial", "p") }, [4] = go("a", "c", "e"),
+    [5] = go("c", "a", { "await(e_x, e_done)" }), [6] = go("b", "a", "e_x") },
+    "root.trans[5].events (c -> a): 'e_done' never fires here, 'root.c' is no leaf, "
+      .. "and has no final leaf" },
   { "never-done", "none of a leaf", { [4] = go("a", "b", "e_done@root.b") } },
   { "never-called", "callbacks of a connector, a state and a transition", {
     k = conn { entry = yes }, [4] = go("a", "k", "e"), [5] = go("k", "a", nil,

@@ -172,6 +172,8 @@ describe("a snapshot", function()
     assert.equal(again.on.high, again.on[1].tgt)
     assert.is_true(snapshot.put(again, snapshot.take(helper.init(lamp()))))
     assert.equal(again.on.low, again.on[1].tgt)
+    snapshot.put_data(again, snapshot.take_data(fsm))
+    assert.equal(again.on.high, again.on[1].tgt)
   end)
 
   it("of a machine with 20 states takes at most 200 bytes as MessagePack", function()
