@@ -1,6 +1,9 @@
--- The counts of rfsm.emem are those of the events that a hook saw.
+-- The counts of rfsm.emem are those of the events that a hook saw, also if an interrupt
+-- comes while it counts.
 
 local driven = require "spec.support.driven"
+local interrupts = require "spec.support.interrupts"
+local new_random = require "spec.support.random"
 local rfsm = require "rfsm"
 require "rfsm.emem"
 
@@ -41,12 +44,40 @@ local function compare(run, counts)
   end
 end
 
-return { name = "emem and counting", run = driven.claim(function(seed)
+-- Has an instruction of rfsm.emem raise an error while an iteration is under way.
+local function arm(run)
+  local skip = run.cuts(200)
+  debug.sethook(function()
+    local is_counting = debug.getinfo(2, "S").short_src:find("rfsm/emem%.lua$")
+    if not is_counting or run.fsm._phase == "idle" then return end
+    skip = skip - 1
+    if skip > 0 then return end
+    debug.sethook()
+    error("interrupted!", 0)
+  end, "", 1)
+end
+
+-- Steps a machine; one that is cut short is stepped again.
+local function step(run)
+  if run.cuts:chance(50) then arm(run) end
+  local ok, failure = pcall(driven.step, run)
+  debug.sethook()
+  if ok then return end
+  if failure ~= "interrupted!" then error(failure, 0) end
+  rfsm.step(run.fsm)
+end
+
+local run_all = driven.claim(function(seed)
   local run = driven.new(seed)
   local counts = watch(run)
+  run.cuts = new_random(seed + 7)
   for _ = 1, 12 do
-    driven.step(run)
+    step(run)
     compare(run, counts)
     if run.problem then return run.problem end
   end
-end) }
+end)
+
+return { name = "emem and counting", run = function(n, seed)
+  return interrupts.without_jit(run_all, n, seed)
+end }
