@@ -39,7 +39,6 @@ local MOST = 64 -- events that a machine keeps, if `defer` of the state has no `
 ---@field at integer the place of the recalled event in the list
 ---@field whole any[] the list with the recalled event
 ---@field rest any[] the list without it; the same list if no event is recalled
----@field again table|false the field `_again` of the machine
 
 local function reset(fsm)
   fsm._again = false
@@ -157,14 +156,12 @@ end
 -- Plans an iteration with the first `count` of the current events only.
 local function plan_first(fsm, events, count)
   local own, first, queue = fsm._deferred, {}, {}
-  local left = count - #events
   for i = 1, #events do
     local list = i <= count and first or queue
     list[#list + 1] = events[i]
   end
   return { turn = fsm._turn, events = first, queue = match.joined(queue, fsm._intq),
-    waiting = #fsm._intq, at = own.at, whole = own.list, rest = own.list,
-    again = left > 0 and { turn = fsm._turn, count = left } }
+    waiting = #fsm._intq, at = own.at, whole = own.list, rest = own.list }
 end
 
 -- Plans the current events: what comes again beside an internal transition is before a
@@ -180,7 +177,7 @@ local function new_plan(fsm, events)
   local event = table.remove(rest, at)
   return { turn = fsm._turn, events = { event }, waiting = #fsm._intq, at = at,
     queue = match.joined(match.joined({}, events), fsm._intq), whole = own.list,
-    rest = rest, again = false }
+    rest = rest }
 end
 
 -- Does what is planned; after an interrupt it is done again, and events that the
@@ -192,7 +189,7 @@ local function follow(fsm, plan, events)
     fsm._intq = plan.queue
   end
   for at = #events, 1, -1 do events[at] = plan.events[at] end
-  own.list, own.at, fsm._again = plan.rest, plan.at, plan.again
+  own.list, own.at = plan.rest, plan.at
   for at = 1, #plan.events do events[at] = plan.events[at] end
   if plan.whole ~= plan.rest then rfsm.report(fsm, "dbg", "RECALLED", events[1]) end
 end
