@@ -353,7 +353,6 @@ end
 -- the queue, one after the other: only the machine itself has sent them. Transitions
 -- that need no event are no such chain, whatever waits behind them.
 local function check_chain(fsm, at, chain, events)
-  if events[1] == nil then return end
   chain.count = rfsm.check_events(at.machine) > 0 and chain.count + 1 or 0
   if chain.count <= MANY - LAST or chain.count > MANY then return end
   note_names(fsm, at, chain, events)
@@ -377,7 +376,7 @@ local function watch_chains(fsm)
       local chain = { count = 0, states = {}, events = {} }
       chains[at.machine], chains[#chains + 1] = chain, chain
       rfsm.post_step_hook_add(at.machine, function(_, events)
-        check_chain(fsm, at, chain, events)
+        if events[1] ~= nil then check_chain(fsm, at, chain, events) end
       end)
     end
   end
