@@ -167,6 +167,9 @@ local function take_extensions(fsm, snap, path, is_exact)
     local value = hook.save(fsm, is_exact)
     if value ~= nil then
       path.owner = path.prefix .. " " .. hook.name
+      if type(value) ~= "table" then
+        fail("%s: table expected, %s", path.owner, rfsm.got(value))
+      end
       snap.ext = snap.ext or {}
       snap.ext[hook.name] = pack(value, path, 0)
     end

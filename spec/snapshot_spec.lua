@@ -326,6 +326,9 @@ describe("take names what cannot be saved:", function()
     ["root.on.keep[1]: name of a field with data expected, got 'entry'"] = function(fsm)
       fsm.on.keep = { "entry" }
     end,
+    ["root mine: table expected, got number 7"] = function(fsm)
+      rfsm.snapshot_hook_add(fsm, "mine", function() return 7 end, print)
+    end,
     ["root.on.keep: list of names expected, got number"] = function(fsm)
       fsm.on.keep = 7
     end,
