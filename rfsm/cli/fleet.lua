@@ -326,11 +326,6 @@ local function line_of(options, one, result)
     options.where and "; " or "\n")
 end
 
--- Is the problem of one machine that of others, too, since the server is lost?
-local function is_of_all(problem)
-  return not (problem:find "^ERR rfsm_" or problem == "no machine")
-end
-
 -- Does a verb for one item. Returns the result; or false and the problem, nil and the
 -- problem if there was no answer.
 local function try(fleet, options, one)
@@ -340,7 +335,7 @@ local function try(fleet, options, one)
 end
 
 -- Does a verb for all items, prints what was done, and returns for how many. Ends the
--- program if the server is lost.
+-- program if the problem is not that of one machine: then the server is lost.
 local function do_all(fleet, options, found)
   local count, is_many = 0, options.where
   for _, one in ipairs(found) do
@@ -348,7 +343,8 @@ local function do_all(fleet, options, found)
     if result then
       common.write("-", line_of(options, one, result) .. "\n")
       count = count + 1
-    elseif result ~= false and is_of_all(problem) then
+    elseif result ~= false and problem ~= "no machine"
+      and not problem:find "^ERR rfsm_" then
       common.fail((is_many and ("%d of %d done, then: "):format(count, #found) or "")
         .. problem)
     else

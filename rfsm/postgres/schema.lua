@@ -29,15 +29,8 @@ local STEPS = {
     .. "ADD COLUMN IF NOT EXISTS snapshot jsonb;" },
 }
 
---- The version of the schema that the script makes.
-schema.VERSION = #STEPS + 1
-
--- The version is in the comment of the schema, which a dump keeps.
-local OWN = ("rfsm schema %d"):format(schema.VERSION)
-
---- SQL that returns the version of the schema as a text; NULL if it has none.
-schema.FOUND = [[SELECT substring(obj_description(to_regnamespace('rfsm'),
-  'pg_namespace') FROM '^rfsm schema (\d+)$') AS version]]
+-- The version of the schema is in its comment, which a dump keeps.
+local VERSION = #STEPS + 1
 
 -- Locks a table that is to change. Clients have to wait behind a session that waits for
 -- a lock, so it gives up soon, lets them pass, and tries again.
@@ -83,16 +76,17 @@ CREATE SCHEMA IF NOT EXISTS rfsm;
 
 -- Alters the tables of an older release.
 DO $$
-DECLARE found integer := coalesce((]] .. schema.FOUND .. [[)::integer, 1);
+DECLARE found integer := coalesce(substring(obj_description(to_regnamespace('rfsm'),
+  'pg_namespace') FROM '^rfsm schema (\d+)$')::integer, 1);
 BEGIN
-  IF found > ]] .. schema.VERSION .. [[ THEN
+  IF found > ]] .. VERSION .. [[ THEN
     RAISE EXCEPTION 'rfsm: nothing was loaded: the schema is of version %, this script '
-      'knows ]] .. schema.VERSION .. [[ (load one of the rfsm that made it)', found;
+      'knows ]] .. VERSION .. [[ (load one of the rfsm that made it)', found;
   END IF;
   IF to_regclass('rfsm.machines') IS NULL THEN RETURN; END IF;
 ]] .. concat(steps) .. [[
 END $$;
-COMMENT ON SCHEMA rfsm IS ']] .. OWN .. [[';
+COMMENT ON SCHEMA rfsm IS 'rfsm schema ]] .. VERSION .. [[';
 
 CREATE TABLE IF NOT EXISTS rfsm.machines (
   key text COLLATE "C" PRIMARY KEY,

@@ -227,17 +227,12 @@ local function put_aside(due, key, problem)
   pcall(call, "XADD", keys_of.log(key), "MAXLEN", "~", MAX_LOG, "*", "error", text)
 end
 
--- Has the machine moved to another node of the cluster?
-local function is_elsewhere(problem)
-  return reason_of(problem):find("non local key", 1, true) ~= nil
-end
-
 -- Calls f(key, argument). Returns 1 and 0; if it fails, puts the machine aside and
--- returns 0 and 1.
+-- returns 0 and 1. A machine may have moved to another node of the cluster.
 local function try(f, due, key, argument)
   local ok, problem = pcall(f, key, { argument })
   if ok then return 1, 0 end
-  if is_elsewhere(problem) then return 0, 0 end
+  if reason_of(problem):find("non local key", 1, true) then return 0, 0 end
   put_aside(due, key, problem)
   return 0, 1
 end
@@ -475,10 +470,6 @@ function more.rfsm_versions(keys)
   return reply
 end
 
-local function is_in(leaf, state)
-  return leaf == state or leaf:sub(1, #state + 1) == state .. "."
-end
-
 -- Returns a function that tells if a list of a machine is what the arguments of
 -- `rfsm_select` ask for, and how its version is known. An empty text stands for any. A
 -- broken machine is found by its version, or if all are asked for.
@@ -488,25 +479,19 @@ local function filter_of(args)
   return function(list)
     if name ~= "" and name ~= list[2] then return false end
     if held == (list[9] and "no" or "yes") then return false end
-    if state ~= "" and not is_in(list[3].leaf or "", state) then return false end
+    local path = (list[3].leaf or "") .. "."
+    if state ~= "" and path:sub(1, #state + 1) ~= state .. "." then return false end
     local known = known_of(list)
     if version == "" then return is_all or list ~= BROKEN, known end
     return version == known or version == list[3].chart, known
   end
 end
 
--- Returns for how long a machine has been in its leaf, as a text; "" if that is not
--- known.
-local function age_of(key)
-  local since = options.index and call("ZSCORE", keys_of.since(key), key)
-  return since and ("%.0f"):format(now() - rfsm.number_of(since)) or ""
-end
-
 -- rfsm_select KEY... chart state version seconds held: returns six items for each
 -- machine that is of the chart, in the state, of the version (how it is known, or its
 -- fingerprint), so long in its leaf, and held ("yes") or not ("no"): its key, chart,
--- leaf, how its version is known, seconds in the leaf, "yes" or "yes: reason" if it is
--- held.
+-- leaf, how its version is known, seconds in the leaf ("": not known), "yes" or "yes:
+-- reason" if it is held.
 function more.rfsm_select(keys, args)
   local is_wanted, time, reply = filter_of(args), nil, {}
   if args[4] ~= "" then
@@ -516,9 +501,10 @@ function more.rfsm_select(keys, args)
   each_machine(keys, function(key, list)
     local is_one, known = is_wanted(list)
     if not is_one or not is_since(key, time) then return end
-    local n = #reply
+    local n, since = #reply, options.index and call("ZSCORE", keys_of.since(key), key)
     reply[n + 1], reply[n + 2], reply[n + 3] = key, list[2], list[3].leaf or ""
-    reply[n + 4], reply[n + 5] = known, age_of(key)
+    reply[n + 4] = known
+    reply[n + 5] = since and ("%.0f"):format(now() - rfsm.number_of(since)) or ""
     reply[n + 6] = list[9] and concat({ "yes", list[10] and list[10][2] }, ": ") or ""
   end)
   return reply
