@@ -165,16 +165,12 @@ function rfsm_rtt.launch(args)
   return true
 end
 
-local EVENTS, LAUNCH = "rfsm.rtt.events", "rfsm.rtt.launch"
-local FILES = {
-  gen_read_events = EVENTS, gen_read_str_events = EVENTS, gen_raise_event = EVENTS,
-  gen_write_fqn = EVENTS, service_launch_rfsm = LAUNCH, service_halt_rfsm = LAUNCH,
-  service_resume_rfsm = LAUNCH, component_launch_rfsm = LAUNCH,
-}
-
 setmetatable(rfsm_rtt, { __index = function(_, name)
   if name == "launch_system" then return require("rfsm.rtt.launch_system").launch end
-  return FILES[name] and require(FILES[name])[name]
+  name = rfsm.text_of(name)
+  local file = name:find("^gen_") and "rfsm.rtt.events"
+    or name:find("_rfsm$") and "rfsm.rtt.launch"
+  return file and require(file)[name] or nil
 end })
 
 if not rawget(_G, "RFSM_NO_GLOBALS") then rawset(_G, "rfsm_rtt", rfsm_rtt) end

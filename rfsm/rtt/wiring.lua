@@ -166,13 +166,14 @@ end
 local function number_states(launch, fsm)
   local variable, numbers, texts = launch.variables.rfsm_state, {}, { "0 <none>" }
   for i, leaf in ipairs(rfsm.elements(fsm, rfsm.is_leaf)) do
-    numbers[leaf], texts[i + 1] = i, ("%d %s"):format(i, leaf._fqn)
+    numbers[leaf._index], texts[i + 1] = i, ("%d %s"):format(i, leaf._fqn)
   end
   launch.rtt.logl("Info", ("rfsm.rtt: rfsm_state of '%s': %s"):format(
     launch.component:getName(), concat(texts, ", ")))
   local last = 0
   local follow = rfsm.borrows(function(machine)
-    local number = numbers[machine._act_leaf] or 0
+    local leaf = machine._act_leaf
+    local number = leaf and numbers[leaf._index] or 0
     if number ~= last then variable:assign(number) end
     last = number
   end)
