@@ -81,10 +81,9 @@ end
 local function check_shadows(fsm, tr, add)
   local shadows = find_shadows(fsm, tr)
   if not shadows then return false end
-  local texts = {}
-  for i, other in ipairs(shadows) do texts[i] = rfsm.location_of(other) end
-  add("shadowed", tr, "never taken, " .. table.concat(texts, " and ") .. " always "
-    .. (texts[2] and "come" or "comes") .. " first")
+  add("shadowed", tr, "never taken, " .. table.concat(order.map(shadows,
+    rfsm.location_of), " and ") .. " always " .. (shadows[2] and "come" or "comes")
+    .. " first")
   return true
 end
 

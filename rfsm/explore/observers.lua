@@ -139,12 +139,6 @@ function observers.element_of(word)
   if OF_ELEMENTS[kind] then return kind, path end
 end
 
-local function texts_of(events)
-  local texts = {}
-  for i, event in ipairs(events) do texts[i] = rfsm.event_text(event) end
-  return texts
-end
-
 --- Return the hint for a word that a machine cannot say. The name of a state alone
 --- means its entry.
 ---@param text string
@@ -164,7 +158,7 @@ function observers.word_meant(text, audible)
   if path:lower():find("^root") then
     return advice.nearest_name(kind .. " " .. path, words)
   end
-  return advice.nearest_name(text, texts_of(audible.events))
+  return advice.nearest_name(text, order.map(audible.events, rfsm.event_text))
 end
 
 --- Return the problem of a word; nil if the machine can say it.

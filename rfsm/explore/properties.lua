@@ -561,11 +561,9 @@ end
 -- Raises an error for an event with data that is none of the examples of its name.
 local function check_examples(own, where, judged)
   for _, field in ipairs { "event", "ending", "again" } do
-    local event, texts = judged.property[field], {}
+    local event = judged.property[field]
     local name = rfsm.name_with_data(event)
-    for i, example in ipairs(name and own.classes[name] or {}) do
-      texts[i] = rfsm.event_text(example, true)
-    end
+    local texts = order.map(name and own.classes[name] or {}, rfsm.event_text, true)
     local has_data = texts[1] and next(event, (next(event))) ~= nil
     if has_data and not own.is_example[own:event_of(event)] then
       local text = rfsm.event_text(event, true)

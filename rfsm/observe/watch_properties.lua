@@ -133,9 +133,9 @@ end
 -- Returns the latest steps with this one, if an event came from outside or the leaf has
 -- changed.
 local function trace_with(own, old, events)
-  local texts, leaf, trace = {}, own.fsm._act_leaf, {}
+  local leaf, trace = own.fsm._act_leaf, {}
   if leaf == own.leaf and are_internal(events) then return old end
-  for i = 1, #events do texts[i] = rfsm.event_text(events[i], true) end
+  local texts = order.map(events, rfsm.event_text, true)
   local text = (texts[1] and concat(texts, ", ") or "no event") .. ": "
     .. (own.leaf and own.leaf._fqn .. " -> " or "") .. leaf._fqn
   for i = #old < LONG and 1 or 2, #old do trace[#trace + 1] = old[i] end

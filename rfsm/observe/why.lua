@@ -56,15 +56,6 @@ function why.kept_text(event, use, prefix)
     use.word or "keeps") or "")
 end
 
--- Returns what f(event) returns for each event.
-local function texts_of(events, f)
-  local texts = {}
-  for i = 1, #events do texts[i] = f(events[i]) end
-  return texts
-end
-
-local function full_text(event) return rfsm.event_text(event, true) end
-
 -- Returns an event that a transition waits for as text; of a function, where it is.
 local function wanted_text(event)
   local info = getinfo and type(event) == "function" and not rfsm.event_name(event)
@@ -121,7 +112,7 @@ local ask_connector
 local function judge(search, tr, first)
   local is_triggered, event = matches(search, tr, first)
   if not is_triggered then
-    local wanted = concat(texts_of(tr.events or {}, wanted_text), ", ")
+    local wanted = concat(order.map(tr.events or {}, wanted_text), ", ")
     return "event", "waits for " .. (wanted == "" and "any event" or wanted)
   end
   local verdict, reason = ask_guards(search, tr, event)
@@ -262,7 +253,7 @@ end
 local function explain(fsm, events)
   local answers, winner, taker = answers_of(fsm, events)
   local regions, is_done = stepped_regions(fsm)
-  local result = { events = texts_of(events, full_text), fires = winner,
+  local result = { events = order.map(events, rfsm.event_text, true), fires = winner,
     answers = answers, kept = kept_texts(fsm, events, taker),
     leaf = rfsm.get_actleaf_fqn(fsm), is_done = is_done, regions = {} }
   for i, region in ipairs(regions) do
@@ -342,7 +333,7 @@ end
 function why.enabled(fsm)
   rfsm.check_machine(fsm, "rfsm_checks.enabled")
   local list = add_enabled({ any = false }, {}, fsm)
-  local texts = texts_of(list, rfsm.event_text)
+  local texts = order.map(list, rfsm.event_text)
   if list.any then texts[#texts + 1] = text_of(OTHER) end
   return list, texts[1] and concat(texts, "\n") or "no event"
 end

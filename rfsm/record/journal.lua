@@ -16,7 +16,7 @@ local sums = require "rfsm.shared.sums"
 local tracks = require "rfsm.record.track"
 local order = require "rfsm.shared.order"
 
-local error, io, ipairs, select = error, io, ipairs, select
+local error, io, select = error, io, select
 local type = type
 local same = tracks.same
 
@@ -40,12 +40,6 @@ local function last_of(all, rec)
   return all[rec.m or 0] or NONE
 end
 
-local function each_of(f, list, ...)
-  local results = {}
-  for i, item in ipairs(list) do results[i] = f(item, ...) end
-  return results
-end
-
 -- Returns a record without the fields that follow from `before`, the previous record
 -- of the same machine.
 local function without_known(rec, before)
@@ -66,7 +60,7 @@ end
 
 local function shorten(rec, all)
   local short = without_known(rec, last_of(all, rec))
-  if rec.inner then short.inner = each_of(shorten, rec.inner, all) end
+  if rec.inner then short.inner = order.map(rec.inner, shorten, all) end
   all[rec.m or 0] = rec
   return short
 end
@@ -84,7 +78,7 @@ local function lengthen(short, all)
     rec.leaf, rec.done = before.leaf, before.done
   end
   rec.sent = list_or_nil(short.sent or is_told and usual(rec.leaf, rec.done) or NONE)
-  if short.inner then rec.inner = each_of(lengthen, short.inner, all) end
+  if short.inner then rec.inner = order.map(short.inner, lengthen, all) end
   all[rec.m or 0] = rec
   return rec
 end

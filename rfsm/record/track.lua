@@ -37,9 +37,7 @@ end
 
 --- Return events as plain data; nil if there are none.
 function track.pack_events(events)
-  local list = {}
-  for i = 1, #events do list[i] = track.pack_event(events[i]) end
-  return list[1] ~= nil and list or nil
+  return events[1] ~= nil and order.map(events, track.pack_event) or nil
 end
 
 local function is_object(packed)
@@ -60,9 +58,7 @@ end
 
 --- Return a list of packed events as text: "e_a, e_b", or "none".
 function track.list_text(list)
-  local texts = {}
-  for i = 1, list and #list or 0 do texts[i] = long_text(list[i]) end
-  return texts[1] and concat(texts, ", ") or "none"
+  return list and list[1] ~= nil and concat(order.map(list, long_text), ", ") or "none"
 end
 
 --- Return an active leaf as text: "root.a(active)", "root.a(done)" or "none".

@@ -45,4 +45,11 @@ function order.any(list, f)
   return false
 end
 
+--- List what f(value, ...) returns for each value of a list.
+function order.map(list, f, ...)
+  local results = {}
+  for i, value in ipairs(list) do results[i] = f(value, ...) end
+  return results
+end
+
 return order

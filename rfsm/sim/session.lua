@@ -16,6 +16,7 @@ local history = require "rfsm.sim.history"
 local names = require "rfsm.observe.names"
 local breakpoints = require "rfsm.observe.breakpoints"
 local observer = require "rfsm.sim.observer"
+local order = require "rfsm.shared.order"
 local rewind = require "rfsm.observe.rewind"
 local snapshot = require "rfsm.snapshot"
 local instrument = require "rfsm.shared.instrument"
@@ -93,9 +94,7 @@ function Session:print_active()
 end
 
 local function print_events(title, events)
-  local texts = {}
-  for i = 1, #events do texts[i] = rfsm.event_text(events[i], true) end
-  print(title .. concat(texts, ", "))
+  print(title .. concat(order.map(events, rfsm.event_text, true), ", "))
 end
 
 function Session:print_queue()

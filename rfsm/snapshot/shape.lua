@@ -29,11 +29,7 @@ local function event_text(event)
   return name and rfsm.event_text(rfsm.named(name), true) or event_text_before(event)
 end
 
-local function texts_of(events, text)
-  local texts = {}
-  for i, event in ipairs(events) do texts[i] = text(event) end
-  return concat(texts, ", ")
-end
+local function texts_of(events, text) return concat(order.map(events, text), ", ") end
 
 local function line_of(obj, text)
   if rfsm.is_conn(obj) then return "connector " .. obj._fqn end

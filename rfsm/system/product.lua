@@ -457,16 +457,14 @@ local function move_of(self, from, label)
   local reading = readings_of(self, member, conf)[tonumber(at)]
   local outcome = reading.outcomes[tonumber(index)]
   local _, sent = put_into(self, reading.queues, holds == "" and outcome.puts[1])
-  local move = { machine = member.name, events = {}, is_put = outcome.is_put or false,
-    sent = sent, holds = holds ~= "",
-    read = {}, choices = outcome.choices, taken = outcome.taken, leaf = outcome.leaf,
-    occurrences = outcome.outside, unfollowed = outcome.unfollowed, ran = outcome.ran }
+  local move = { machine = member.name, is_put = outcome.is_put or false,
+    events = order.map(outcome.outside, text_of_event), sent = sent,
+    holds = holds ~= "", read = {}, choices = outcome.choices, taken = outcome.taken,
+    leaf = outcome.leaf, occurrences = outcome.outside,
+    unfollowed = outcome.unfollowed, ran = outcome.ran }
   for i, occurrence in ipairs(outcome.read) do
     move.read[i] = { event = text_of_event(occurrence),
       from = self.wires[reading.read[i].at].from }
-  end
-  for i, occurrence in ipairs(outcome.outside) do
-    move.events[i] = text_of_event(occurrence)
   end
   return move
 end

@@ -300,12 +300,6 @@ local function guard_texts(guards)
   return texts
 end
 
-local function quoted_list(list)
-  local texts = {}
-  for i, value in ipairs(list or {}) do texts[i] = quoted(value) end
-  return texts
-end
-
 local function step_text(what)
   local parts = {}
   local function add(field, items)
@@ -316,8 +310,8 @@ local function step_text(what)
   for i = 1, #what do parts[i] = quoted(what[i]) end
   if what.after then parts[#parts + 1] = "after = " .. rfsm.text_of(what.after) end
   add("guards", guard_texts(what.guards))
-  add("ends", quoted_list(what.ends))
-  add("goes_on", quoted_list(what.goes_on))
+  add("ends", order.map(what.ends or {}, quoted))
+  add("goes_on", order.map(what.goes_on or {}, quoted))
   return parts[1] and "run:step { " .. concat(parts, ", ") .. " }" or "run:step()"
 end
 
