@@ -337,7 +337,13 @@ describe("rfsm redis", function()
           return true
         end,
         stats = function() return "numbers\n" end,
-        charts = function() return { [calls[3] and "new" or "old"] = {} } end,
+        charts = function() return { new = {} } end,
+        ask = function(_, name) return not calls[3] and name == "rfsm_find" end,
+        versions = function()
+          return { { chart = "old", known = "gone", version = "1-2", count = 1 },
+            { chart = "new", known = "gone", version = "3-4", count = 2 },
+            { chart = "new", known = "newest", version = "5-6", count = 7 } }
+        end,
       }) },
     }
   end
@@ -357,8 +363,13 @@ describe("rfsm redis", function()
       local calls = {}
       local out, err = run("redis " .. options .. "-l redis://x README.md",
         modules(calls))
-      assert.same({ expected, "rfsm redis: a warning\nrfsm redis: the machines of old "
-        .. "cannot run until it is loaded, too\n" }, { out, err })
+      assert.same({ expected, "rfsm redis: a warning\nrfsm redis: the library "
+        .. "before was made with --index, this one is not\nrfsm redis: 1 machine of "
+        .. "old cannot run until it is loaded, too\nrfsm redis: 2 machines of new: "
+        .. "version 3-4 is not loaded, those that do not fit the newest one cannot run "
+        .. "until both are: rfsm redis new=OLD.lua new=NEW.lua ... --load "
+        .. "redis://x\n" },
+        { out, err })
       assert.same({ { { "README.md" }, {} }, { "redis://x" },
         { "load", "the library" } }, calls)
     end

@@ -859,7 +859,7 @@ describe("rfsm fleet", function()
     assert.equal("m:{0}:1\nm:{0}:2\nm:{0}:3\n", fleet_command("due", "9", "+4000"))
   end)
 
-  it("says of which charts the library is, and which one is left out", function()
+  it("says of which charts the library is, and what a new one leaves out", function()
     local function load(...)
       return servers.output_of("tools/rfsm redis " .. table.concat({ ... }, " ")
         .. " --load " .. server:url())
@@ -872,8 +872,19 @@ describe("rfsm fleet", function()
     assert.equal("", load("one=" .. helper.file_with(TIMED), two))
     assert.equal("one root\none root.a\none root.b\none root.c\none root.c.d\n"
       .. "two root\ntwo root.even\ntwo root.odd\n", fleet_command("charts"))
-    assert.equal("rfsm redis: the machines of one cannot run until it is loaded, too\n",
-      load(two))
+    for i = 1, 2 do assert(machines:create(i, "one")) end
+    local version = machines:get(1).version
+    assert.equal("rfsm redis: 2 machines of one cannot run until it is loaded, too\n",
+      load(two, "--index", "--history 5"))
+    local newer = (TIMED:gsub("keep", "more = rfsm.state {}, keep"))
+    local before = "rfsm redis: the library before was made with --%s, this one is not"
+    assert.equal(before:format "history" .. "\n" .. before:format "index"
+      .. "\nrfsm redis: 2 machines of one: version " .. version .. " is not loaded, "
+      .. "those that do not fit the newest one cannot run until both are: rfsm redis "
+      .. "one=OLD.lua one=NEW.lua ... --load " .. server:url() .. "\n",
+      load("one=" .. helper.file_with(newer), two))
+    assert.equal("", load("one=" .. helper.file_with(TIMED),
+      "one=" .. helper.file_with(newer)))
   end)
 
   it("says that there is no machine whose log is asked for", function()

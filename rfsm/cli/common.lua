@@ -210,10 +210,10 @@ function common.add_charts(command, server, load)
   common.add_option(command, "-l --load", load):argname(server)
 end
 
--- Calls load(text, server) if the option --load names a server. Writes the text to the
--- output, and to stdout if there is neither.
+-- Calls load(text, server, options) if the option --load names a server. Writes the
+-- text to the output, and to stdout if there is neither.
 function common.deliver(text, options, load)
-  if options.load then load(text, options.load) end
+  if options.load then load(text, options.load, options) end
   if options.output or not options.load then
     common.write(options.output or "-", text)
   end

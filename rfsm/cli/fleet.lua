@@ -138,6 +138,8 @@ local function machines_text(count)
   return ("%d %s"):format(count, count == 1 and "machine" or "machines")
 end
 
+command.machines_text = machines_text
+
 local function reindex_lines(fleet)
   return { machines_text(ask(fleet.reindex, fleet)) }
 end

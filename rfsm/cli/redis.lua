@@ -4,8 +4,9 @@
 -- @license BSD-3-Clause
 
 local common = require "rfsm.cli.common"
-local rfsm = require "rfsm"
-local ask, connect = require("rfsm.cli.fleet").ask, require("rfsm.cli.fleet").connect
+local fleets = require "rfsm.cli.fleet"
+
+local ask, connect = fleets.ask, fleets.connect
 
 local redis = {
   summary = "Bundle charts as a library of Redis functions.",
@@ -39,19 +40,36 @@ local function compare(files)
   return is_safe
 end
 
--- Loads a library. Tells of a chart that the library before had, and this one has not:
--- it may be left out by mistake.
-local function load(text, url)
-  local fleet = connect(url)
-  local before = fleet:charts() or {}
-  common.try(fleet:load(text))
-  local after = fleet:charts() or {}
-  for _, name in ipairs(rfsm.sorted_keys(before)) do
-    if not after[name] then
-      common.warn("the machines of " .. name
-        .. " cannot run until it is loaded, too")
+local GONE = "%s of %s cannot run until it is loaded, too"
+local OLDER = "%s of %s: version %s is not loaded, those that do not fit the newest "
+  .. "one cannot run until both are: rfsm redis %s=OLD.lua %s=NEW.lua ... --load %s"
+
+-- Tells of machines whose chart, or its version, a library has not: it may be left out
+-- by mistake.
+local function warn_of_gone(fleet, url)
+  local charts = fleet:charts() or {}
+  for _, one in ipairs(fleet:versions() or {}) do
+    local name = one.chart
+    if one.known == "gone" then
+      common.warn((charts[name] and OLDER or GONE):format(
+        fleets.machines_text(one.count), name, one.version, name, name, url))
     end
   end
+end
+
+-- Loads a library. Tells what the one before could, and this one cannot.
+local function load(text, url, options)
+  local fleet = connect(url)
+  local before = { history = fleet:ask("rfsm_history", "{0}"),
+    index = fleet:ask("rfsm_find", "{0}", "", "") }
+  common.try(fleet:load(text))
+  for _, name in ipairs { "history", "index" } do
+    if before[name] and not options[name] then
+      common.warn(("the library before was made with --%s, this one is not"):format(
+        name))
+    end
+  end
+  warn_of_gone(fleet, url)
 end
 
 function redis.run(options, parser)
