@@ -163,15 +163,13 @@ local function can_be_turned(level)
 end
 
 -- Returns the rows of a level in a former picture. A new node is in the row of the node
--- before it. A node that cannot be in its row begins another one.
+-- before it, or begins the next one. A node that cannot be in its row begins another.
 local function former_rows(level)
   local numbers, last, first, shift = {}, 1, 1, 0
   for i, node in ipairs(level.composite.nodes) do
     local number = max(last, node.row and node.row + shift or last)
-    if number == last and (level.bounds[i] or 0) >= first then
-      number, shift = number + 1, shift + 1
-    end
-    first = number > last and i or first
+    if number == last and (level.bounds[i] or 0) >= first then number = number + 1 end
+    shift, first = node.row and number - node.row or shift, number > last and i or first
     numbers[i], last = number, number
   end
   return numbers
