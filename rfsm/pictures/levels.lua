@@ -15,13 +15,13 @@ local levels = {}
 
 -- Levels that do not fit ------------------------------------------------------
 
-local FEWEST = 6 -- nodes of a level that is turned
-
---- Return true if no arrow crosses the frame of a level or of a composite in it, and no
--- arrow in the level is a loop at a composite.
-function levels.is_closed(level)
+--- Can a level run from left to right? It cannot if it has regions, if an arrow crosses
+-- its frame or the frame of a composite in it, or is a loop at such a composite.
+function levels.can_be_turned(level)
   for _, node in ipairs(level.composite.nodes) do
-    if node.level and (node.has_loop or node.level.gates[1]) then return false end
+    if node.is_region or node.level and (node.has_loop or node.level.gates[1]) then
+      return false
+    end
   end
   return not level.gates[1]
 end
@@ -80,18 +80,11 @@ function levels.turn(level)
   spread(level)
 end
 
--- Is a shape of a level far too long, across its arrows?
-local function is_wide(shape)
+--- Is a shape of a level far too long, across its arrows?
+function levels.is_wide(shape)
   local width, height = shape.width, shape.height
   if shape.direction ~= "TB" then width, height = height, width end
   return width > 2 * height
-end
-
---- Shall a level run from left to right, in place of a shape of it?
-function levels.is_misfit(level, shape)
-  local nodes = level.composite.nodes
-  return nodes[FEWEST] and is_wide(shape) and levels.is_closed(level)
-    and not nodes[1].is_region -- then all are
 end
 
 -- Layout ----------------------------------------------------------------------

@@ -146,6 +146,7 @@ end
 
 -- Deals: the rows of a level --------------------------------------------------
 
+local LONG = 6 -- nodes; the first shape of a level with fewer is not turned
 local LARGE = 100 -- bent links; a level with more is not put into rows
 
 -- Returns the boxes of the nodes in a level, with the given shapes in it.
@@ -155,11 +156,10 @@ local function boxes_of(level, kids)
   return boxes
 end
 
--- Can a level run from left to right? Regions stay side by side.
+-- Can a level that runs down, and is no region beside others, run from left to right?
 local function can_be_turned(level)
-  local composite = level.composite
-  return level.direction == "TB" and levels.is_closed(level)
-    and not (composite.is_region or composite.nodes[1].is_region)
+  return level.direction == "TB" and not level.composite.is_region
+    and levels.can_be_turned(level)
 end
 
 -- Returns the rows of a level in a former picture. A new node is in the row of the node
@@ -186,7 +186,10 @@ end
 
 -- Returns the deals that are tried for a level with the shapes `kids` in it.
 local function deals_of(level, aim, kids)
-  if aim == "first" then return { "plain" } end
+  if aim == "first" then
+    local is_long = level.composite.nodes[LONG] and levels.can_be_turned(level)
+    return { "plain", is_long and "turned" or nil }
+  end
   if aim == "former" then return { former_deal(level) } end
   local nodes, deals = level.composite.nodes, {}
   if nodes[2] and not nodes[1].is_region and level.bent <= LARGE then
@@ -237,27 +240,21 @@ local function prepare(shape)
   put(shape)
 end
 
-local function lay_out(jobs, run)
-  return jobs[1] and graphs.lay_out(jobs, run, prepare, rows.draw)
-end
-
 -- Lays out levels of one height in the shapes for some aims. The first shape of a level
--- is turned if it does not fit.
+-- is turned if it would be far too long.
 local function lay_out_height(list, aims, run)
-  local jobs, turned = {}, {}
+  local jobs = {}
   for _, level in ipairs(list) do
     level.shapes, level.kept = level.shapes or {}, {}
     rows.prepare(level)
     for _, aim in ipairs(aims) do add_shapes(jobs, level, aim) end
   end
-  local problem = lay_out(jobs, run)
+  local problem = jobs[1] and graphs.lay_out(jobs, run, prepare, rows.draw)
   for _, level in ipairs(problem and {} or list) do
-    local first = level.kept.first
-    if levels.is_misfit(level, first) then
-      level.kept.first = add_shape(turned, level, "first", "turned", first.kids)
-    end
+    local plain = level.shapes[1]
+    if not levels.is_wide(plain) then level.kept.first = plain end
   end
-  return problem or lay_out(turned, run)
+  return problem
 end
 
 -- Is a chart larger than its sheet, by Graphviz alone and, if it has no composites, in
