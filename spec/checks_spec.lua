@@ -493,6 +493,10 @@ local CASES = {
     { [4] = go("a", "b", "e_every"), [5] = go("b", "a", "e_everything") },
     "root.trans[4] (a -> b): 'e_every' is the name of an event like any other (did you "
       .. "mean 'e_every(...)'?)" },
+  { "odd-event", "a call that is not closed",
+    { [4] = go("a", "b", "e_after(2"), [5] = go("b", "a", { "(-:", "e(1)(" }) },
+    "root.trans[4] (a -> b): 'e_after(2' is the name of an event like any other (did "
+      .. "you mean 'e_after(2)'?)" },
   { "odd-event", "nothing that somebody says", { [4] = go("a", "b", { "come here",
     "go on, please", "stop" }), [5] = go("b", "a", "it is done") } },
   { "odd-event", "none in the name of a state, or in parentheses", {
@@ -555,6 +559,8 @@ local CASES = {
     "root.trans[4] (a -> b): a transition has no field 'timed' (a state has it)",
     "root.a: a state has no field 'read' (the root has it)",
     "root.b: a connector has no field 'history' (a state has it)" },
+  { "unknown-field", "a word in a field that is nearly there", { Read = "one",
+    reads = 7 }, "root: a state has no field 'Read' (did you mean 'read'?)" },
   { "unknown-field", "a number in place of a word", { read = 1 },
     "root: read: 'one' or 'all' expected, got number 1" },
   { "unknown-field", "no data of the user's", { read = 2 } },

@@ -317,6 +317,7 @@ describe("the field that is meant", function()
       .. "onleave=exit do=doo during=doo activity=doo do_activity=doo entyr=entry "
       .. "pre_hook=- exits=exit entry=- mine=-",
     root = "prehook=pre_step_hook post_hook=post_step_hook pre_step_hok=pre_step_hook "
+      .. "post_step=post_step_hook preStep=pre_step_hook "
       .. "get_events=getevents idlehook=idle_hook debg=dbg inf=info warning=- "
       .. "warnn=warn er=err enter=entry exti=exit dooo=doo",
     transition = "source=src from=src target=tgt to=tgt dst=tgt dest=tgt on=events "

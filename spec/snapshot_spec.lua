@@ -329,6 +329,9 @@ describe("take names what cannot be saved:", function()
     ["root mine: table expected, got number 7"] = function(fsm)
       rfsm.snapshot_hook_add(fsm, "mine", function() return 7 end, print)
     end,
+    ["root.on.keep: list of names expected, got a table with keys"] = function(fsm)
+      fsm.on.keep = { count = true }
+    end,
     ["root.on.keep: list of names expected, got number"] = function(fsm)
       fsm.on.keep = 7
     end,

@@ -91,6 +91,9 @@ end
 -- comma, bar or blank that is not in parentheses or after @.
 local function oddness_of_name(event)
   local word, call = event:match("^[^(@]*"), advice.call_meant(event)
+  if event:find("^%a[%w_]*%([^)]*$") then
+    call = (" (did you mean '%s)'?)"):format(event)
+  end
   if call ~= "" then
     return ("'%s' is the name of an event like any other%s"):format(event, call)
   elseif match.maker_of(event) or is_sentence(event) then

@@ -208,12 +208,16 @@ local function owner_of(key, value)
   return advice.owner_of(key, value)
 end
 
+local function could_be(field, value)
+  return field[3]:find(type(value), 1, true) or field[4] and field[4](value)
+end
+
 -- Finds a key that is nearly a field of this kind, and a flag that is a text.
 local function check_name(obj, key, field, add)
   local name, kind, found = field[1], field[2], type(obj[key])
   local is_near = key ~= name and key ~= "idle.doo" and advice.is_near(key, name)
     or name == "dbg" and key == "debug"
-  if is_near and field[3]:find(found, 1, true) then
+  if is_near and could_be(field, obj[key]) then
     add("unknown-field", obj, ("a %s has no field '%s' (did you mean '%s'?)"):format(
       kind == "root" and "state" or kind, key, name))
   elseif key == name and field[3] == "boolean" and found == "string" then

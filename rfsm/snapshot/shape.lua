@@ -123,6 +123,10 @@ local function kept_names(state)
     end
     list[i] = name
   end
+  if #rfsm.sorted_keys(names) > #list then
+    fail("%s: list of names expected, got a table with keys",
+      rfsm.location_of(state, "keep"))
+  end
   return list
 end
 
