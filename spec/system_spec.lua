@@ -373,6 +373,15 @@ end
 describe("a description of a system", function()
   after_each(helper.remove_files)
 
+  it("keeps its problems when another one fails before they are told", function()
+    local _, failure = pcall(system, { a = 1, b = 2 })
+    pcall(system, { c = 3 })
+    local chart = require "rfsm.shared.chart"
+    assert.equal("a: chart expected, got 1\nb: chart expected, got 2",
+      helper.without_file(chart.reason("cell.lua", failure):gsub("\n[^\n]-:%d+: ",
+        "\n")))
+  end)
+
   it("is checked whole, each problem with its line", function()
     -- luacheck: push no max line length
     assert.equal([[

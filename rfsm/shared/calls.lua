@@ -49,20 +49,18 @@ function calls.init_apart(model)
     model)
 end
 
-local failed = {} -- the text and the problems of the latest failure of `calls.fail`
+local problems_in = {} -- the problems by the text that lists them
 
 --- Raise a text that lists problems.
 ---@param text string
 ---@param problems string[]? what `calls.problems_of` returns for this text
 function calls.fail(text, problems)
-  failed.text, failed.problems = text, problems
+  problems_in[text] = problems
   error(text, 0)
 end
 
---- Return the problems of the latest failure of `calls.fail`; nil for any other.
-function calls.problems_of(failure)
-  return failure == failed.text and failed.problems or nil
-end
+--- Return the problems of a failure of `calls.fail`; nil for any other.
+function calls.problems_of(failure) return problems_in[failure] end
 
 local PRINTERS = { "dbg", "info", "warn", "err" }
 
