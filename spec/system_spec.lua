@@ -2,6 +2,7 @@
 -- the simulator.
 
 local commands = require "spec.support.commands"
+local charts = require "rfsm.shared.chart"
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
 local system = require "rfsm.system"
@@ -376,9 +377,8 @@ describe("a description of a system", function()
   it("keeps its problems when another one fails before they are told", function()
     local _, failure = pcall(system, { a = 1, b = 2 })
     pcall(system, { c = 3 })
-    local chart = require "rfsm.shared.chart"
     assert.equal("a: chart expected, got 1\nb: chart expected, got 2",
-      helper.without_file(chart.reason("cell.lua", failure):gsub("\n[^\n]-:%d+: ",
+      helper.without_file(charts.reason("cell.lua", failure):gsub("\n[^\n]-:%d+: ",
         "\n")))
   end)
 
