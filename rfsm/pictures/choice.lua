@@ -97,6 +97,7 @@ end
 ---@param layouts { width: number, height: number }[]
 ---@param crossings_of fun(layout: table): number
 ---@param size rfsm.pictures.Size of the sheet
+---@param former? table the layout of the former picture
 function choice.best(layouts, crossings_of, size, former)
   local best, least = layouts[1], huge
   local most = MORE + min(crossings_of(best), crossings_of(layouts[2] or best))
