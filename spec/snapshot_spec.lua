@@ -379,9 +379,10 @@ describe("a snapshot of another chart", function()
     local bare = snapshot.take(lit())
     bare.chart = "00000000000"
     assert.same({ "gone: state root.on.high",
-      "the snapshot holds no structure, that is all that is known (pass the chart of "
-        .. "its time: restore(model, snap, { old = model_of_then }); a library "
-        .. "takes both charts under one name)" },
+      "the snapshot holds no structure, that is all that is known (the chart of its "
+        .. "time is needed: sim and web take that file, a library both under one name, "
+        .. "NAME=OLD.lua NAME=NEW.lua; in Lua restore(model, snap, { old = "
+        .. "model_of_then }))" },
       select(3, snapshot.restore(other(), bare)))
   end)
 

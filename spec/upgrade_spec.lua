@@ -584,9 +584,10 @@ describe("the targets that a history has set", function()
     snap.chart, snap.structure = "00000000000", nil
     local fsm, problem = snapshot.restore(robot(true), snap, { migrate = itself })
     assert.is_false(fsm)
-    assert.equal("rfsm.snapshot: the snapshot holds what the chart lacks (pass the "
-      .. "chart of its time: restore(model, snap, { old = model_of_then }); a library "
-      .. "takes both charts under one name):\n"
+    assert.equal("rfsm.snapshot: the snapshot holds what the chart lacks (the chart "
+      .. "of its time is needed: sim and web take that file, a library both under one "
+      .. "name, NAME=OLD.lua NAME=NEW.lua; in Lua restore(model, snap, { old = "
+      .. "model_of_then })):\n"
       .. "  target root.a.y of transition 2 in root\n"
       .. "  target root.b.x of transition 3 in root", problem)
     fsm = restored(robot(true), snap, { migrate = itself, old = robot() })

@@ -699,7 +699,7 @@ describe("a page", function()
     local server = opened(assert(web.open(lamp, { port = 0, from = file,
       clock = function() return now end })))
     local page, first = http.page(server)
-    assert.equal("root.on.bright", first.leaf)
+    assert.same({ "root.on.bright", false }, { first.leaf, first.live })
     assert.same({ "note: with the data of now, not those of this move",
       "note: 1970-01-01 00:00:00 e_push: root.off → root.on.dim",
       "note: 1970-01-01 00:01:01 e_more: root.on.dim → root.on.bright" },
@@ -913,6 +913,8 @@ describe("a page", function()
     message = page:command("wait", { seconds = 9 })
     assert.same({ "root.green", true },
       { message.leaf, message.clock > 7 and message.clock < 7.6 })
+    assert.is_true(page:command("clock", { live = true }).live)
+    assert.is_false(page:command("back").live)
   end)
 
   it("shows regions", function()

@@ -294,8 +294,9 @@ local function known_lines(fsm, snap, options)
   return lines
 end
 
-local UNKNOWN = " (pass the chart of its time: restore(model, snap, { old = "
-  .. "model_of_then }); a library takes both charts under one name)"
+local UNKNOWN = " (the chart of its time is needed: sim and web take that file, a "
+  .. "library both under one name, NAME=OLD.lua NAME=NEW.lua; in Lua restore(model, "
+  .. "snap, { old = model_of_then }))"
 
 local function missing(lost)
   local list = {}

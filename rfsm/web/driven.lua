@@ -194,7 +194,8 @@ function commands.run(session)
   run(session)
 end
 
--- Undoes the turns after turn `to`. No callback is called.
+-- Undoes the turns after turn `to`. No callback is called. The clock is paused, since a
+-- timer of then could run before anybody has looked.
 function commands.back(session, message)
   local to = message.to or session.way.at - 1
   local is_before = type(to) == "number" and to < session.way.at
@@ -202,7 +203,7 @@ function commands.back(session, message)
   local place, problem = session.way:go(to)
   if not place then return problem end
   session.view:go_back(to)
-  start_clock(session)
+  session.is_live = false
 end
 
 -- Resets the machine. The log is kept, and the command `back` undoes the reset.
@@ -320,7 +321,7 @@ function Driven.open(file, real, has_stubs, from)
   local session = setmetatable({
     file = file, title = file:match("[^/]+$"), real = real, view = false, problems = {},
     generation = 0, way = false, since = 0,
-    time = clock.simulated(), is_live = true, points = {}, stopped = false,
+    time = clock.simulated(), is_live = not from, points = {}, stopped = false,
     has_stubs = has_stubs, from = from,
     look_at = real() + LOOK_TIME, text = "", early = {}, snap = nil,
   }, Driven)
