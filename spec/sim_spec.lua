@@ -854,8 +854,8 @@ no transition would be taken on e_b in root.b
     assert(snapshot_file.write(file, snap))
     complaints = select(2, sim("-q --from " .. file .. " " .. chart))
     assert.matches(": a machine of chart 'job': rfsm.snapshot: the snapshot is of "
-      .. "another chart:\n.*the chart of its time is needed: sim and web take that file",
-      complaints)
+      .. "another chart:\n.*the chart of its time is needed: sim and web take that "
+      .. "file", complaints)
   end)
 
   it("of a fleet says that the past of regions is not known", function()

@@ -83,8 +83,9 @@ function moves.follow(fsm, name, leave, restart)
     return go_through(fsm, snap, fleet.history or {}, leave, restart)
   end)
   if not ok then
-    error(("%s%s: %s"):format(name, fleet.chart and (": a machine of chart '%s'"):format(
-      rfsm.text_of(fleet.chart)) or "", rfsm.text_of(count)), 0)
+    local about = fleet.chart and ("a machine of chart '%s': "):format(
+      rfsm.text_of(fleet.chart)) or ""
+    error(name .. ": " .. about .. rfsm.text_of(count), 0)
   end
   return count, fleet
 end
