@@ -295,9 +295,9 @@ function diagram.ends_in(arrow, composite)
   return src, tgt
 end
 
---- Return the innermost composite that has both ends of an arrow in it; nil if one of
+-- Returns the innermost composite that has both ends of an arrow in it; nil if one of
 -- them is the root.
-function diagram.find_home(src, tgt)
+local function find_home(src, tgt)
   local home = src.parent
   while home and not is_inside(tgt, home) do home = home.parent end
   return home
@@ -414,7 +414,7 @@ local function place_arrows(chart)
   chart.all = tied(chart.all)
   for _, arrow in ipairs(chart.all) do
     local src, tgt = arrow.src, arrow.tgt
-    local home = diagram.find_home(src, tgt)
+    local home = find_home(src, tgt)
     arrow.home = home
     src.is_on_border = src.is_on_border or home ~= src.parent or nil
     tgt.is_on_border = tgt.is_on_border or home ~= tgt.parent or nil
@@ -430,36 +430,30 @@ local ENTITIES = { amp = "&", lt = "<", gt = ">", quot = '"', ["#45"] = "-",
   ["#39"] = "'" }
 
 -- Returns the positions of the nodes in the text of an SVG, by FQN. A composite has the
--- position of the first node in it.
-local function numbers_in(svg)
+-- position of the first node in it. Gives nodes the shapes that a former picture for a
+-- sheet has noted in its classes.
+local function read_picture(chart, svg)
   local numbers, count = {}, 0
-  for id in svg:gmatch('<g id="([^"]*)" class="node') do
+  for id, kind, class in svg:gmatch('<g id="([^"]*)" class="(%l+)([^"]*)"') do
     local fqn = id:gsub("&(#?%w+);", ENTITIES)
+    local node = chart.kind == "sheet" and chart.by_fqn[fqn]
+    if node then
+      node.row = tonumber(class:match(" row(%d+)"))
+      node.is_turned = class:find(" turned", 1, true) and true or nil
+    end
     count = count + 1
-    while fqn and not numbers[fqn] do
+    while kind == "node" and fqn and not numbers[fqn] do
       numbers[fqn], fqn = count, fqn:match("^(.*)%.")
     end
   end
   return numbers
 end
 
--- Gives nodes the shapes that a former picture for a sheet has noted in its classes.
-local function keep_shapes(chart, svg)
-  for id, class in svg:gmatch('<g id="([^"]*)" class="%l+ ([^"]*)"') do
-    local node = chart.by_fqn[id:gsub("&(#?%w+);", ENTITIES) .. ""]
-    if node then
-      node.row = tonumber(class:match(" row(%d+)"))
-      node.is_turned = class:find(" turned", 1, true) and true or nil
-    end
-  end
-end
-
 -- Sorts the nodes of each composite as in a former picture. A new node stays behind the
 -- node that precedes it now. Regions stay in the order in which they are stepped.
 local function keep_order(chart, svg)
-  local numbers, number_of = numbers_in(svg), {}
   chart.kind = svg:match('class="graph (%l+)"')
-  if chart.kind == "sheet" then keep_shapes(chart, svg) end
+  local numbers, number_of = read_picture(chart, svg), {}
   for _, composite in ipairs(chart.nodes) do
     local number, nodes = 0, composite.nodes
     for _, node in ipairs(nodes) do

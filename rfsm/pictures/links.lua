@@ -164,11 +164,6 @@ local function links_of(arrow)
   return append(list, reversed(inner))
 end
 
-local function link_arrow(arrow)
-  arrow.home = diagram.find_home(arrow.src, arrow.tgt)
-  arrow.links = links_of(arrow)
-end
-
 --- Give each composite its level, and each arrow its links. `chart.top` is a composite
 -- around the root, so that arrows at the root have a level, too.
 function links.prepare(chart)
@@ -180,7 +175,10 @@ function links.prepare(chart)
       node.level = links.new_level(node, chart.direction)
     end
   end
-  for _, arrow in ipairs(chart.all) do link_arrow(arrow) end
+  for _, arrow in ipairs(chart.all) do
+    arrow.home = arrow.home or chart.top
+    arrow.links = links_of(arrow)
+  end
 end
 
 return links
