@@ -90,7 +90,7 @@ describe("an event with data", function()
   it("is named by why, with the data that are sent", function()
     local _, text = checks.why(machine(), { name = "e_other", n = 1 })
     assert.equal("no transition would be taken on e_other{n=1} in root.a\n"
-      .. "  root.trans[2] (a -> k): waits for e_paid", (helper.without_file(text)))
+      .. "  root.trans[2] (a -> k): waits for e_paid{..}", (helper.without_file(text)))
   end)
 
   it("is among the enabled events", function()

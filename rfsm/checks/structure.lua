@@ -7,8 +7,9 @@
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local codes = require "rfsm.checks.codes"
-local any = require("rfsm.shared.order").any
 local match = require "rfsm.shared.match"
+local order = require "rfsm.shared.order"
+local stubs = require "rfsm.shared.stubs"
 local location = require "rfsm.shared.location"
 local writes = require "rfsm.shared.writes"
 
@@ -65,12 +66,12 @@ function structure.has_cycle(fsm)
     for _, tr in ipairs(location.transitions(fsm, leaf)) do
       add_leaves(tr.tgt, leaves, {})
     end
-    is_done[leaf] = not any(leaves, function(other)
+    is_done[leaf] = not order.any(leaves, function(other)
       return other ~= leaf and visit(other)
     end)
     return not is_done[leaf]
   end
-  return any(rfsm.elements(fsm, is_leaf), visit)
+  return order.any(rfsm.elements(fsm, is_leaf), visit)
 end
 
 --- Is a leaf without a way out meant as an end? Yes if its name means an end, or if no
@@ -178,6 +179,9 @@ end
 
 local function is_true(value) return value == true end
 local function is_read(value) return value == "one" or value == "all" end
+local function is_list(value)
+  return type(value) == "table" and type(value[1]) == "string"
+end
 
 -- Fields, the kind of element that has them, and the types of values that are mistakes
 -- under a similar name. The last item tells whether a value is meant for the field also
@@ -185,6 +189,7 @@ local function is_read(value) return value == "one" or value == "all" end
 local FIELDS = {
   { "final", "state", "boolean" }, { "timed", "state", "boolean" },
   { "always", "transition", "boolean", is_true }, { "read", "root", "", is_read },
+  { "keep", "state", "", is_list },
   { "dbg", "root", "boolean" }, { "err", "root", "boolean" },
   { "info", "root", "boolean" }, { "warn", "root", "boolean" },
   { "strict", "root", "boolean" },
@@ -232,7 +237,79 @@ local function check_read(fsm, add)
   local is_meant = value == true or value == 1 or type(value) == "string"
     and (advice.is_near(value, "one") or advice.is_near(value, "all"))
   if is_meant and not is_read(value) then
-    add("unknown-field", fsm, "read: 'one' or 'all' expected, " .. rfsm.got(value))
+    add("unknown-field", fsm, "read: 'one' or 'all' expected, " .. rfsm.got(value)
+      .. (type(value) == "string" and advice.did_you_mean(value, { "one", "all" }) or ""))
+  end
+end
+
+-- Returns the set of words in the functions of a machine and of those in it and around
+-- it, the set of words behind a point, and whether all their texts are known.
+local function words_of(fsm)
+  local words, fields, seen, is_known = {}, {}, {}, not stubs.are_used
+  while rfsm.parent(fsm) do fsm = rfsm.parent(fsm) end
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    for _, obj in ipairs(rfsm.elements(at.machine)) do
+      for _, value in order.each(rfsm.model_of(obj)) do -- any order: sets
+        local f = rfsm.is_callable(value) and not rfsm.is_fsmobj(value) and value
+        is_known = is_known and (not f or writes.is_known(f))
+        writes.each(f, function(text)
+          for word in text:gmatch(writes.ANY) do words[word] = true end
+          for word in text:gmatch("%.%s*(" .. writes.ANY .. ")") do
+            fields[word] = true
+          end
+        end, seen)
+      end
+    end
+  end
+  return words, fields, is_known
+end
+
+-- Returns the hint for a name in `keep` that is no field: one that is there, or that
+-- functions use, and that the state does not keep.
+local function hint_for_kept(state, name, fields)
+  local names = {}
+  for key, value in order.each(rfsm.model_of(state)) do -- any order: a set
+    local is_data = type(key) == "string" and not rfsm.is_callable(value)
+    if is_data and not rfsm.is_fsmobj(value) then fields[key] = true end
+  end
+  for _, key in ipairs(rfsm.sorted_keys(fields)) do
+    if not match.has(state.keep, key) then names[#names + 1] = key end
+  end
+  return advice.did_you_mean(name, names)
+end
+
+-- Finds names in `keep` of fields that neither the state nor a function of the chart
+-- has. A program may write them: only one that looks like another is a warning.
+local function check_keep(fsm, state, add)
+  local words, fields, is_known
+  for _, name in ipairs(is_list(state.keep) and state.keep or {}) do
+    if not words then words, fields, is_known = words_of(fsm) end
+    if type(name) == "string" and state[name] == nil and not words[name] then
+      local hint = hint_for_kept(state, name, fields)
+      add("unknown-field", state, ("keep: the %s has no field '%s'%s"):format(
+        state == fsm and "root" or "state", name,
+        hint ~= "" and hint or " (the program may write it)"),
+        not (hint ~= "" and is_known) and "note")
+    end
+  end
+end
+
+-- Fields of a sequential AND state that may be functions.
+local FUNCTIONS = { entry = true, exit = true, doo = true, guard = true, effect = true,
+  save = true, load = true, seqanddbg = true, andseqdbg = true }
+
+-- Finds what was probably meant as a region: a function whose call was forgotten, and a
+-- number that no function uses.
+local function check_members(fsm, state, add)
+  for _, key in ipairs(rfsm.sorted_keys(rfsm.model_of(state))) do
+    local value = state[key]
+    local is_meant = type(value) == "function" and not FUNCTIONS[key]
+      or type(value) == "number" and key ~= "step" and not words_of(fsm)[key]
+    if type(key) == "string" and is_meant then
+      add("unmarked", state, ("'%s' is a %s and no region (%s)"):format(key, type(value),
+        type(value) == "function" and ("did you mean %s = %s()?"):format(key, key)
+        or "a region is a state"))
+    end
   end
 end
 
@@ -344,7 +421,7 @@ end
 
 -- Does a transition without a guard lead on from a connector on an event?
 local function has_default(connector, event)
-  return any(connector._otrs, function(tr)
+  return order.any(connector._otrs, function(tr)
     return not tr.guard and match.triggers(tr, event)
   end)
 end
@@ -408,7 +485,11 @@ function structure.check(fsm, add, reached)
       check_regions(obj, add)
     end
     if rfsm.is_trans(obj) then check_transition(obj, add) end
-    if rfsm.is_state(obj) then check_foreign(obj, add) end
+    if rfsm.is_state(obj) then
+      check_foreign(obj, add)
+      check_keep(fsm, obj, add)
+      if select(2, rfsm.regions(obj)) then check_members(fsm, obj, add) end
+    end
     check_final(fsm, obj, add)
     check_names(obj, add)
     check_callbacks(obj, add)

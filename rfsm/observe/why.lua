@@ -43,7 +43,8 @@ local why = {}
 -- "e_job (root.warming defers it)"
 ---@field answers rfsm_checks.Answer[] in the order in which transitions are tried
 ---@field is_done boolean the leaf is done, so that its regions are not stepped any more
----@field regions { name: string, why: rfsm_checks.Why }[] regions of the leaf
+---@field regions { name: string, why: rfsm_checks.Why }[] regions of the leaf, unless a
+-- transition would leave it before they get the events
 
 --- Return an event that an extension keeps as text: "e_job (root.warming defers it)".
 ---@param event any
@@ -61,7 +62,7 @@ local function wanted_text(event)
   local info = getinfo and type(event) == "function" and not rfsm.event_name(event)
     and getinfo(event, "S")
   return info and ("what %s:%d accepts"):format(info.short_src, info.linedefined)
-    or rfsm.event_text(event)
+    or rfsm.event_text(event, true)
 end
 
 -- Search: as in the engine, but with an answer for each transition -----------------
@@ -218,11 +219,21 @@ local function add_answers(lines, answers, indent)
   end
 end
 
+-- Returns what would be taken, in regions too; nil if nothing would.
+local function taken(result)
+  local texts = { result.fires or nil }
+  for _, region in ipairs(result.regions) do
+    local inner = taken(region.why)
+    if inner then texts[#texts + 1] = "region " .. region.name .. ": " .. inner end
+  end
+  return texts[1] and concat(texts, " and ")
+end
+
 local function summary(result)
   local events = result.events[1] and "on " .. concat(result.events, ", ")
     or "without an event"
   local leaf = " in " .. (result.leaf or "a machine that was not entered")
-  return (result.fires or "no transition") .. " would be taken " .. events .. leaf
+  return (taken(result) or "no transition") .. " would be taken " .. events .. leaf
 end
 
 local function add_text(lines, result, indent)
@@ -256,7 +267,8 @@ local function explain(fsm, events)
   local result = { events = order.map(events, rfsm.event_text, true), fires = winner,
     answers = answers, kept = kept_texts(fsm, events, taker),
     leaf = rfsm.get_actleaf_fqn(fsm), is_done = is_done, regions = {} }
-  for i, region in ipairs(regions) do
+  local is_left = taker and rfsm.target_of(taker) ~= "internal"
+  for i, region in ipairs(is_left and {} or regions) do
     result.regions[i] = { name = region.name, why = explain(region.machine, events) }
   end
   return result
