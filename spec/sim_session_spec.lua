@@ -93,6 +93,33 @@ se e_paid
 ! no transition names the event 'e_paid' (did you mean 'e_paid{}'?)
 queue:  e_init_fsm, e_paid
 ]=] },
+    { does = "is `event` in conditions at it, and where it leads", chart = PAID,
+      input = [=[
+run
+breakpoint e_paid if event.amount > 6
+breakpoint b if event.amount > 10
+breakpoint a -> b if event.amount == 10
+ser e_paid{amount=3}
+ser e_paid{amount=3} e_paid{amount=7}
+ser e_paid{amount=10}
+ser e_x
+ser e_paid{amount=11}
+]=], output = [=[
+at root.a(done)
+1  event e_paid if event.amount > 6
+2  state root.b if event.amount > 10
+3  transition root.a -> root.b if event.amount == 10
+at root.a(done)
+at root.a(done)
+stopped at 1: event e_paid if event.amount > 6
+at root.b(done) e_done@root.b
+stopped at 1: event e_paid if event.amount > 6
+stopped at 3: transition root.a -> root.b if event.amount == 10
+at root.a(done)
+at root.b(done) e_done@root.b
+stopped at 1: event e_paid if event.amount > 6
+stopped at 2: state root.b if event.amount > 10
+]=] },
     { does = "is sent as it is shown", chart = PAID, input = [=[
 run
 ser e_paid{amount = 1} e_paid{"amount": 12}

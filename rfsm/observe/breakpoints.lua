@@ -25,7 +25,7 @@ local breakpoints = {}
 ---@field name string the text to show; for "watch" the text of the expression
 ---@field value any state name, set of transitions, event, or last value of the "watch"
 ---@field condition? string text of the expression after `if`
----@field holds? fun(): any the condition, compiled
+---@field holds? fun(event: any): any the condition, compiled
 
 -- Is the source or target of a transition `node` itself, or its initial connector?
 local function is_at(tr_end, node)

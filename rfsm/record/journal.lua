@@ -124,9 +124,10 @@ end
 
 local function fail(form, ...) error(form:format(...), 0) end
 
+-- A problem is without its place: the text is one line.
 local function decode(text)
   local value, _, problem = opts.need("rfsm.record", "dkjson").decode(text, 1, nil)
-  return value, problem
+  return value, problem and problem:gsub(" at line 1, column %d+$", "")
 end
 
 -- Returns the header in a line; nil if it is another line. A line of a run has the

@@ -164,13 +164,13 @@ topic "stop"
 add("breakpoint(x)", "stop at a state, a transition or an event", [[
 Without an argument: list them. The machine stops behind the step in which the state
 was entered, the transition taken, or the event received. The condition behind `if` is
-evaluated when that step has ended.
-Examples: breakpoint on    breakpoint off -> on    breakpoint e_push if tries > 2]],
+evaluated when that step has ended; `event` is the event there.
+Examples: breakpoint on    breakpoint off -> on    breakpoint e_paid if event.amount > 6]],
 function(sim, what)
   if what == nil then return breakpoints.list(sim) end
   local text = type(what) == "string" and what or ""
   local name, condition = text:match("^(.-)%s+if%s+(.+)$")
-  local holds = name and sim.compile(condition, "condition")
+  local holds = name and sim.compile(condition, "condition", "local event = ... ")
   local n = breakpoints.add(sim, name or what)
   sim.points[n].condition, sim.points[n].holds = condition, holds
   print(("%d  %s"):format(n, breakpoints.text(sim.points[n])))
@@ -205,8 +205,12 @@ end)
 
 add("next()", "go to the next timer and run", [[
 The clock is simulated from then on. With a table it is the function of Lua.]],
-function(sim, ...)
-  if ... ~= nil then return next(...) end
+function(sim, value, key)
+  if type(value) == "table" then return next(value, key) end
+  if value ~= nil then
+    error("next: no value expected, " .. rfsm.got(value) .. " ('clock 3' lets 3 s pass)",
+      0)
+  end
   time.go_to_timer(sim)
 end)
 

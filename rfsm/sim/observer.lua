@@ -30,10 +30,10 @@ local function takes(tr, event)
   return match.triggers(tr, event) ~= false
 end
 
-function Observer:check_points(kind, value)
+-- Notes the breakpoints that are reached, each with the event.
+function Observer:check_points(kind, value, event)
   breakpoints.each_reached(self.sim.points, kind, value, function(i, point)
-    local list = point.holds and self.reached or self.hits
-    list[i] = true
+    self.reached[#self.reached + 1] = { at = i, holds = point.holds, event = event }
   end)
 end
 
@@ -41,36 +41,40 @@ end
 -- A condition that fails with an error counts as true.
 function Observer:check_conditions()
   local problem
-  for i, point in ipairs(self.sim.points) do
-    if self.reached[i] then
-      local ok, value = calls.try(point.holds)
-      if not ok then problem = ("breakpoint %d: %s"):format(i, text_of(value)) end
-      self.hits[i] = not ok or value or nil
-    end
+  for _, each in ipairs(self.reached) do
+    local ok, value = true, true
+    if each.holds then ok, value = calls.try(each.holds, each.event) end
+    if not ok then problem = ("breakpoint %d: %s"):format(each.at, text_of(value)) end
+    self.hits[each.at] = self.hits[each.at] or not ok or value or nil
   end
   self.reached, self.is_hit = {}, not order.is_empty(self.hits)
   if problem then error(problem, 0) end
 end
 
--- Appends to the list `by` the texts of the events that may have triggered a
--- transition, unless the transition names no events.
-local function add_triggers(by, tr, events)
+-- Returns the events that may have triggered a transition, if it names events.
+local function triggers_of(tr, events)
+  local list = {}
   for i = 1, tr.events[1] ~= nil and #events or 0 do
-    if takes(tr, events[i]) then
-      by[#by + 1] = (rfsm.event_text(events[i], true):gsub("^(e_[%w()._]*)@root.*",
-        "%1"))
-    end
+    if takes(tr, events[i]) then list[#list + 1] = events[i] end
   end
+  return list
+end
+
+-- Returns an event as text, without the state of an event that the machine makes.
+local function short_text(event)
+  return (rfsm.event_text(event, true):gsub("^(e_[%w()._]*)@root.*", "%1"))
 end
 
 function Observer:taken(at, path, events)
-  local by, nodes = {}, { location.path(path[1].src, at.prefix) }
+  local by, nodes = triggers_of(path[1], events), { location.path(path[1].src,
+    at.prefix) }
+  self.event = by[1] == nil and events[1] or by[1]
   for i, tr in ipairs(path) do
-    self:check_points("transition", tr)
-    if i == 1 then add_triggers(by, tr, events) end
+    self:check_points("transition", tr, self.event)
     nodes[i + 1] = location.path(tr.tgt, at.prefix)
   end
   if not self.is_shown then return end
+  for i = 1, #by do by[i] = short_text(by[i]) end
   self:print_taken("taken:  " .. concat(nodes, " -> ")
     .. (by[1] and " on " .. concat(by, ", ") or ""))
 end
@@ -88,7 +92,7 @@ function Observer:print_taken(line)
 end
 
 function Observer:entered(at, state)
-  self:check_points("state", location.path(state, at.prefix))
+  self:check_points("state", location.path(state, at.prefix), self.event)
 end
 
 function Observer:finished(_, events)
@@ -99,14 +103,14 @@ function Observer:finished(_, events)
     if not is_noted then
       self.is_seen[event], self.seen[#self.seen + 1] = true, event
     end
-    self:check_points("event", event)
+    self:check_points("event", event, event)
   end
 end
 
 --- Start observing an advance of the machine. If `is_shown`, the paths are printed.
 function Observer:begin(is_shown)
   self.is_on, self.is_shown, self.line, self.times = true, is_shown, false, 1
-  self.hits, self.reached, self.is_hit = {}, {}, false
+  self.hits, self.reached, self.is_hit, self.event = {}, {}, false, nil
   self.seen, self.is_seen, self.fates = {}, {}, {}
 end
 

@@ -160,7 +160,7 @@ function prompt.evaluate(sim, text, chunkname)
   sim.missing = {}
   -- Certainly words, not Lua? Lua would take `view /tmp/x.svg` for a division.
   local is_clear = text:find("^%s*[%a_][%w_]*%s*$")
-    or text:find("^%s*[%a_][%w_]*%s+[%w_/.-]")
+    or text:find("^%s*[%a_][%w_]*%s+[%w_/.+-]")
   local problem = problem_of_name(sim, text)
   if problem then return false, problem, false end
   local chunk = is_clear and call_of(sim, text)
@@ -180,8 +180,9 @@ function prompt.install(sim)
   for _, command in ipairs(sim.commands.list) do
     env[command.name] = function(...) return command.run(sim, ...) end
   end
-  function sim.compile(text, name) -- the text is an expression
-    local chunk, problem = load_in(env, "return " .. text, "=" .. name)
+  function sim.compile(text, name, before) -- the text is an expression
+    text = (before or "") .. "return " .. text
+    local chunk, problem = load_in(env, text, "=" .. name)
     return chunk or error(problem, 0)
   end
   function sim.value_of(text)
