@@ -69,6 +69,9 @@ local function hint_for(known, event)
   for _, name in ipairs(named) do
     if name == event then return (" (did you mean { name = '%s' }?)"):format(name) end
   end
+  for _, name in ipairs(event == "e_done" and names or {}) do
+    if name:find("^e_done@") then return " (the machine makes " .. name .. ")" end
+  end
   if known.set["e_" .. text_of(event)] then event = "e_" .. event end
   return advice.nearest_name(text_of(event), names)
 end
@@ -94,7 +97,9 @@ end
 local function oddness_of_nameless(known, event)
   local key, value = name_meant(known, event)
   local _, named = names_of(known)
-  if event[1] ~= nil and not (key == 1 and next(event, 1) ~= nil) then
+  if event.name ~= nil and event[1] == nil then
+    return "name: text expected, " .. rfsm.got(event.name)
+  elseif event[1] ~= nil and not (key == 1 and next(event, 1) ~= nil) then
     return "a list is one event (did you mean rfsm.send_events(fsm, unpack(list))?)"
   elseif key ~= nil then
     return ("the table has no field 'name' (did you mean name = '%s' in place of %s?)")

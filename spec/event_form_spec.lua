@@ -64,6 +64,10 @@ describe("a strict machine tells of", function()
     { "another field, though the chart has the text", "e_go", { event = "e_go", n = 1 },
       "the table has no field 'name' (did you mean name = 'e_go' in place of "
         .. "'event'?)" },
+    { "a name that is no text", named "e_go", { name = 5 },
+      "name: text expected, got number 5" },
+    { "an e_done, which the machine makes", "e_done", "e_done",
+      "no transition names the event 'e_done' (the machine makes e_done@root.a)" },
     { "a list", named "e_go", { "e_go" },
       "a list is one event (did you mean rfsm.send_events(fsm, unpack(list))?)" },
   } do

@@ -156,8 +156,8 @@ describe("why", function()
     rfsm.run(fsm)
     local found, text = rfsm_checks.why(fsm, "e_x")
     assert.is_false(found.fires)
-    assert.equal("region left: root.trans[2] (x -> x) would be taken on e_x in root.par",
-      text:match("^[^\n]*"))
+    assert.equal("region left: root.trans[2] (x -> x) would be taken on e_x in "
+      .. "root.par", text:match("^[^\n]*"))
     assert.equal("left", found.regions[1].name)
     assert.equal("root.trans[2] (x -> x)", found.regions[1].why.fires)
     assert.same({ "e_x", any = false }, (rfsm_checks.enabled(fsm)))
@@ -177,26 +177,28 @@ describe("why", function()
     assert.same({ any = false }, (rfsm_checks.enabled(fsm)))
   end)
 
-  it("leaves out the machines of a leaf that is left, but not of an internal one",
-    function()
-      local function regions_on(tgt)
-        local inner = state { err = false, warn = false, info = false,
-          x = state {}, trans { src = "initial", tgt = "x" },
-          trans { src = "x", tgt = "x", events = { "e_x" } } }
-        local fsm = helper.init(state { a = state {},
-          par = rfsm.seqand { left = inner, right = inner },
-          trans { src = "initial", tgt = "par" },
-          trans { src = "par", tgt = tgt, events = { "e_x" } } })
-        rfsm.run(fsm)
-        local found, text = rfsm_checks.why(fsm, "e_x")
-        return #found.regions, text:match("^[^\n]*")
-      end
-      assert.same({ 0, "root.trans[2] (par -> a) would be taken on e_x in root.par" },
-        { regions_on "a" })
-      assert.same({ 2, "root.trans[2] (par -> internal) and region left: root.trans[2] "
-        .. "(x -> x) and region right: root.trans[2] (x -> x) would be taken on e_x in "
-        .. "root.par" }, { regions_on "internal" })
-    end)
+  -- Returns how many regions answer if an event leads out of their leaf to `tgt`, or to
+  -- none, and the first line.
+  local function regions_on(tgt)
+    local inner = state { err = false, warn = false, info = false, x = state {},
+      trans { src = "initial", tgt = "x" },
+      trans { src = "x", tgt = "x", events = { "e_x" } } }
+    local fsm = helper.init(state { a = state {},
+      par = rfsm.seqand { left = inner, right = inner },
+      trans { src = "initial", tgt = "par" },
+      trans { src = "par", tgt = tgt, events = { "e_x" } } })
+    rfsm.run(fsm)
+    local found, text = rfsm_checks.why(fsm, "e_x")
+    return { #found.regions, text:match("^[^\n]*") }
+  end
+
+  it("leaves out the machines of a leaf that is left, unless internally", function()
+    assert.same({ 0, "root.trans[2] (par -> a) would be taken on e_x in root.par" },
+      regions_on "a")
+    assert.same({ 2, "root.trans[2] (par -> internal) and region left: root.trans[2] "
+      .. "(x -> x) and region right: root.trans[2] (x -> x) would be taken on e_x in "
+      .. "root.par" }, regions_on "internal")
+  end)
 
   it("explains a queue of any length", function()
     local fsm = machine()

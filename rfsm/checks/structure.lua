@@ -178,7 +178,8 @@ local function check_callbacks(obj, add)
 end
 
 local function is_true(value) return value == true end
-local function is_read(value) return value == "one" or value == "all" end
+local READ = { "one", "all" }
+local function is_read(value) return value == READ[1] or value == READ[2] end
 local function is_list(value)
   return type(value) == "table" and type(value[1]) == "string"
 end
@@ -234,11 +235,10 @@ end
 -- Finds a value of `read` that is nearly one of those that count.
 local function check_read(fsm, add)
   local value = fsm.read
-  local is_meant = value == true or value == 1 or type(value) == "string"
-    and (advice.is_near(value, "one") or advice.is_near(value, "all"))
-  if is_meant and not is_read(value) then
+  local hint = type(value) == "string" and advice.did_you_mean(value, READ) or ""
+  if hint ~= "" and not is_read(value) or value == true or value == 1 then
     add("unknown-field", fsm, "read: 'one' or 'all' expected, " .. rfsm.got(value)
-      .. (type(value) == "string" and advice.did_you_mean(value, { "one", "all" }) or ""))
+      .. hint)
   end
 end
 
@@ -264,6 +264,8 @@ local function words_of(fsm)
   return words, fields, is_known
 end
 
+local UNKNOWN = " (the program may write it)"
+
 -- Returns the hint for a name in `keep` that is no field: one that is there, or that
 -- functions use, and that the state does not keep.
 local function hint_for_kept(state, name, fields)
@@ -275,7 +277,8 @@ local function hint_for_kept(state, name, fields)
   for _, key in ipairs(rfsm.sorted_keys(fields)) do
     if not match.has(state.keep, key) then names[#names + 1] = key end
   end
-  return advice.did_you_mean(name, names)
+  local hint = advice.did_you_mean(name, names)
+  return hint ~= "" and hint or UNKNOWN
 end
 
 -- Finds names in `keep` of fields that neither the state nor a function of the chart
@@ -286,10 +289,9 @@ local function check_keep(fsm, state, add)
     if not words then words, fields, is_known = words_of(fsm) end
     if type(name) == "string" and state[name] == nil and not words[name] then
       local hint = hint_for_kept(state, name, fields)
+      local is_sure = is_known and hint ~= UNKNOWN
       add("unknown-field", state, ("keep: the %s has no field '%s'%s"):format(
-        state == fsm and "root" or "state", name,
-        hint ~= "" and hint or " (the program may write it)"),
-        not (hint ~= "" and is_known) and "note")
+        state == fsm and "root" or "state", name, hint), not is_sure and "note")
     end
   end
 end
@@ -302,13 +304,13 @@ local FUNCTIONS = { entry = true, exit = true, doo = true, guard = true, effect 
 -- number that no function uses.
 local function check_members(fsm, state, add)
   for _, key in ipairs(rfsm.sorted_keys(rfsm.model_of(state))) do
-    local value = state[key]
-    local is_meant = type(value) == "function" and not FUNCTIONS[key]
-      or type(value) == "number" and key ~= "step" and not words_of(fsm)[key]
-    if type(key) == "string" and is_meant then
-      add("unmarked", state, ("'%s' is a %s and no region (%s)"):format(key, type(value),
-        type(value) == "function" and ("did you mean %s = %s()?"):format(key, key)
-        or "a region is a state"))
+    local value = type(key) == "string" and state[key]
+    if type(value) == "function" and not FUNCTIONS[key] then
+      add("unmarked", state, ("'%s' is a function and no region (did you mean %s = "
+        .. "%s()?)"):format(key, key, key))
+    elseif type(value) == "number" and key ~= "step" and not words_of(fsm)[key] then
+      add("unmarked", state, ("'%s' is a number and no region (a region is a state)")
+        :format(key))
     end
   end
 end

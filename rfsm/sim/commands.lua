@@ -165,7 +165,8 @@ add("breakpoint(x)", "stop at a state, a transition or an event", [[
 Without an argument: list them. The machine stops behind the step in which the state
 was entered, the transition taken, or the event received. The condition behind `if` is
 evaluated when that step has ended; `event` is the event there.
-Examples: breakpoint on    breakpoint off -> on    breakpoint e_paid if event.amount > 6]],
+Examples: breakpoint off -> on    breakpoint on if tries > 2
+          breakpoint e_paid if event.amount > 6]],
 function(sim, what)
   if what == nil then return breakpoints.list(sim) end
   local text = type(what) == "string" and what or ""
@@ -208,8 +209,8 @@ The clock is simulated from then on. With a table it is the function of Lua.]],
 function(sim, value, key)
   if type(value) == "table" then return next(value, key) end
   if value ~= nil then
-    error("next: no value expected, " .. rfsm.got(value) .. " ('clock 3' lets 3 s pass)",
-      0)
+    error("next: no value expected, " .. rfsm.got(value)
+      .. " ('clock 3' lets 3 s pass)", 0)
   end
   time.go_to_timer(sim)
 end)
