@@ -318,6 +318,18 @@ describe("a verdict", function()
       verdict(chart(members), after "e_x".reach "root"))
   end)
 
+  it("is not vacuous if what it asks for holds at once", function()
+    assert.equal("p: holds (two events a step)",
+      verdict(chart(), after "entry root.b".reach "root.b"))
+    assert.equal("p: holds (two events a step)",
+      verdict(chart(), after "taken root.trans[2]".reach "root.b"))
+    assert.equal("p: holds (one event a step)",
+      verdict(chart(), after "entry root.b".never "root.a".until_ "root.b"))
+    assert.equal("p: holds vacuously, entry root.dead never comes (one event a step)",
+      verdict(chart { dead = state {} },
+        after "entry root.dead".never "root.a".until_ "root.dead"))
+  end)
+
   it("is not vacuous if a transition on any event or behind a connector has it",
     function()
     assert.equal("p: holds (two events a step)", verdict(chart { [4] = go("b", "b") },

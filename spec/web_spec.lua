@@ -711,6 +711,14 @@ describe("a page", function()
     assert.matches("^/%S+: no JSON: ", select(2, web.open(lamp, { from = file })))
   end)
 
+  it("is not opened for a system", function()
+    local file = helper.file_with('local rfsm = require "rfsm"\nreturn require '
+      .. '"rfsm.system" { arm = rfsm.state { a = rfsm.state {}, rfsm.trans { src = '
+      .. '"initial", tgt = "a" } } }\n')
+    assert.matches("it is a system, which rfsm check, ", select(2, web.open(file, {
+      port = 0 })), 1, true)
+  end)
+
   it("is told the same as another page", function()
     local server = open()
     local one, two = http.page(server), http.page(server)

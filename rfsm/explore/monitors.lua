@@ -243,6 +243,7 @@ local function look_at(walk, judged, state, try, view)
     look.came = holds(property.scope, own:view(try.conf))
   end
   judged.has_come = judged.has_come or look.came
+    or order.any(look.heard, function(each) return each.word == property.event end)
   return monitors.look(property, state, look)
 end
 

@@ -586,7 +586,9 @@ local function add_event(own, judged, audible)
 end
 
 --- Has the last step taken a transition that names the event, or that takes any event?
+--- A word about an element is one that was taken.
 function properties.is_taken(own, event)
+  if own.hears[event] then return true end
   for _, number in ipairs(own.taken) do
     local tr = own.transitions[number].tr
     if match.names(tr, event) or rfsm.is_state(tr.src)

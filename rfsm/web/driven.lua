@@ -11,6 +11,8 @@
 -- @license BSD-3-Clause
 
 local rfsm = require "rfsm"
+local load_file = rfsm.load -- before `search` replaces it
+local advice = require "rfsm.advice"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
 local clock = require "rfsm.clock"
@@ -156,15 +158,21 @@ local function begin(session, fsm, snap)
   start_clock(session)
 end
 
--- Loads the chart. If `keeps_state` the machine goes on in the state of the old one.
+-- Loads the chart. If `keeps_state` the machine goes on in the state of the old one. A
+-- system is a problem of the session: no page would ever show it.
 local function load(session, keeps_state)
+  local is_system
   local snap = keeps_state and (session.way and session.way:note().snap
     or session.snap) or nil
   session.text, session.view, session.early = read(session.file), false, {}
   session.generation, session.way = session.generation + 1, false
   local fsm, problems = chart.open(session.file, function(model)
     return init(session, model)
-  end, function(line) tell(session, "warning", line) end, session.has_stubs)
+  end, function(line) tell(session, "warning", line) end, session.has_stubs,
+    function(file)
+      return load_file(file, function(value) is_system = advice.of_system(value) end)
+    end)
+  if is_system then session.problem = problems[1] end
   session.problems, session.snap = fsm and {} or problems, not fsm and snap or nil
   if fsm then begin(session, fsm, snap) end
 end
