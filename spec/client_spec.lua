@@ -216,7 +216,8 @@ describe("the client of a fleet", function()
     end)
     forget()
     assert.equal("rfsm.fleet: cannot connect to h:6379: rfsm.fleet: the package redis "
-      .. "is missing (on Debian: apt-get install lua-redis)", problem)
+      .. "is missing (on Debian: apt-get install lua-redis, for Lua 5.1 to 5.3)",
+      problem)
   end)
 
   it("is also a global", function()

@@ -736,6 +736,13 @@ describe("rfsm fleet", function()
         table.concat(arguments, " ")))
     end
     assert.matches("^%S+ %(create%): %-> root.a\n", fleet_command("history", key))
+    assert.equal("machine:{0}:plain root.a done taken\n",
+      fleet_command("create", "plain", "timed"))
+    assert.equal("machine:{0}:plain root.b done taken\n",
+      fleet_command("send", "plain", "e_b"))
+    assert.equal("rfsm fleet: 0 machines (the library has no such state; states in "
+      .. "regions are not looked for)\n",
+      fleet_command("list --where state=root.qqq.x"))
   end)
 
   it("sets a field to a value of another kind only by force", function()
@@ -1130,6 +1137,14 @@ describe("an operator who types what doc/redis.md prints", function()
     assert.same({ "7 " .. dead[1] .. " m:{7}:42 pick (again)\n",
       "7 " .. dead[2] .. " m:{7}:43 pick (drop)\n" }, { printed[10], printed[11] })
     assert.same({}, machines:dead())
+  end)
+
+  it("sets fields", function()
+    assert(machines:create("m:{7}:42", "order", { item = "cog" }))
+    local printed = typed "rfsm fleet redis://localhost set"
+    assert.matches("^m:{7}:42 root.received %(set root.tries: 0 %-> 0%)", printed[1])
+    assert.equal('m:{7}:42 root.received (set root.item: "cog" -> "left gear") by '
+      .. "ann\n", printed[2])
   end)
 
   it("sees what the other questions answer", function()

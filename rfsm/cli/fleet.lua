@@ -51,6 +51,12 @@ local function lines_of(reply, verb, key)
   return lines
 end
 
+-- Returns the key that a machine has in Redis, if it is not the one that was typed.
+local function other_key(fleet, key)
+  local whole = fleet:key_of(key)
+  return whole ~= key and whole or nil
+end
+
 -- Returns the event that a person has typed, such as e_paid{amount=12}.
 local function event_of(text)
   local event, problem = typed.read(text)
@@ -131,7 +137,8 @@ end
 
 local function send_lines(fleet, options, key, text, id)
   local event = event_of(text)
-  return lines_of(ask(fleet.send_by, fleet, options.by, id, key, event), "send")
+  return lines_of(ask(fleet.send_by, fleet, options.by, id, key, event), "send",
+    other_key(fleet, key))
 end
 
 local function machines_text(count)
@@ -157,7 +164,7 @@ end
 -- nothing was moved.
 local function moved_lines(fleet, verb, key, ...)
   return lines_of(ask_or_end(2, "", fleet[verb], fleet, key, ...), verb,
-    NOTES[verb] and key)
+    NOTES[verb] and key or other_key(fleet, key))
 end
 
 local function push_lines(fleet, options, key, file)

@@ -99,8 +99,10 @@ function options.check_file(where, file)
   error(("%s: file name expected, %s"):format(where, options.got(file)), 3)
 end
 
--- The names of packages whose modules have other names: of rocks, and of Debian.
-local ROCKS, DEBIAN = { socket = "luasocket", lxp = "luaexpat" }, { lxp = "expat" }
+-- The names of packages whose modules have other names: of rocks, and of Debian, with
+-- what one has to know of that.
+local ROCKS, DEBIAN = { socket = "luasocket", lxp = "luaexpat" },
+  { lxp = "expat", redis = "redis, for Lua 5.1 to 5.3" }
 
 --- Load the modules of one or two packages, and return them. If a package is missing,
 -- return nil and the problem.
