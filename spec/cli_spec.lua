@@ -465,6 +465,7 @@ describe("rfsm fleet", function()
     -- Runs the command with a client that does this.
     local function with_client(act)
       local calls, client = {}, { find_tags = function() return {} end,
+        key_of = function(_, key) return key end,
         get = function(_, key)
           if key == "bad" then return nil, "ERR rfsm_get: it is no machine" end
           return { chart = "c", leaf = "root.b" }
