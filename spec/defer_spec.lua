@@ -60,6 +60,19 @@ it("a machine is not idle while it would recall another event", function()
   assert.equal("root.b", at(fsm))
 end)
 
+it("a guard that drops another event leaves the recalled one in the list", function()
+  local fsm
+  fsm = helper.started(state { info = false, warn = false,
+    a = state { defer = { "e_x", "e_y" } }, trans { src = "initial", tgt = "a" },
+    trans { src = "a", tgt = "internal", events = { "e_x" }, guard = function()
+      defer.drop(fsm, "e_y")
+      return false
+    end } })
+  rfsm.send_events(fsm, "e_x", "e_y")
+  assert.is_true(rfsm.run(fsm))
+  assert.same({ "e_x" }, rfsm.waiting(fsm))
+end)
+
 it("a post step hook that fails keeps no event from being deferred, or told", function()
   local told = {}
   local fsm = helper.started(rfsm.state { info = false,
