@@ -115,7 +115,7 @@ local function keep_others(fsm, events, tr)
   end
   local list, event, plan = own.list, recalled(fsm)
   for i = #list, own.count + 1, -1 do list[i] = nil end -- after an interrupt
-  local is_back = plan and list == plan.whole
+  local is_back = plan -- or it was dropped meanwhile
   for i = 1, #events do
     local state = is_kept(fsm, events[i], tr)
     if is_back and rawequal(events[i], event) then
@@ -350,7 +350,8 @@ function defer.drop(fsm, name)
   local names = { name, type(name) == "string" and rfsm.named(name) or nil }
   local count, plan = #own.list, own.plan
   own.list = name ~= nil and without(own.list, names) or {}
-  own.count, own.at = min(own.count, #own.list), 1
+  own.count = min(own.count, #own.list)
+  if #own.list < count then own.at = 1 end
   if plan and plan.whole ~= plan.rest then
     plan.whole = name ~= nil and without(plan.whole, names) or {}
   end

@@ -73,6 +73,21 @@ it("a guard that drops another event leaves the recalled one in the list", funct
   assert.same({ "e_x" }, rfsm.waiting(fsm))
 end)
 
+it("a guard that drops the recalled event, and a hook that drops none, end", function()
+  local fsm, count = nil, 0
+  fsm = helper.started(state { info = false, warn = false,
+    a = state { defer = { "e_x" } }, trans { src = "initial", tgt = "a" },
+    trans { src = "a", tgt = "internal", events = { "e_x" }, guard = function()
+      count = count + 1
+      if count > 1 then defer.drop(fsm, "e_x") end
+      return count > 9
+    end } })
+  rfsm.post_step_hook_add(fsm, function() defer.drop(fsm, "e_y") end)
+  rfsm.send_events(fsm, "e_x")
+  assert.is_true(rfsm.run(fsm))
+  assert.same({ 2, {} }, { count, rfsm.waiting(fsm) })
+end)
+
 it("a post step hook that fails keeps no event from being deferred, or told", function()
   local told = {}
   local fsm = helper.started(rfsm.state { info = false,
