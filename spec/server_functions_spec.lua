@@ -119,6 +119,19 @@ describe("a call", function()
     assert.matches("event,6=e_a,7=.*event,6=e_x e_b,7=", table.concat(trace, "\n"))
   end)
 
+  it("marks a move whose entry has failed", function()
+    open { history = 5 }
+    load_library({ { name = "c", make = function()
+      return state { a = state {}, b = state { entry = error },
+        trans { src = "initial", tgt = "a" },
+        trans { src = "a", tgt = "b", events = { "e_b" } } }
+    end } }, { history = 5 })
+    f.rfsm_create({ "n" }, { "c" })
+    f.rfsm_send({ "n" }, { "e_b" })
+    assert.matches("event,6=e_b (error),7=from,8=root.a,9=to,10=root.b",
+      table.concat(trace, "\n"), 1, true)
+  end)
+
   it("knows the latest 16 ids, and forgets the oldest", function()
     for i = 1, 17 do call("send", i % 2 == 1 and "e_b" or "e_a", "ID", "i" .. i) end
     written()

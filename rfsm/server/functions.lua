@@ -454,12 +454,12 @@ local function log_of(machine, errors)
   return { machine.said, unpack(errors) }
 end
 
--- Marks the events of a call in the history if they have moved nothing and callbacks
--- have failed, such as a guard. If something due ran before, that may have failed.
+-- Marks the events of a call in the history if callbacks have failed, such as a guard
+-- or an entry. If something due ran before, that may have failed.
 local function mark_error(machine)
   local last = machine.moves[#machine.moves]
   if machine.has_run or not machine.is_sent_to or not last then return end
-  if last.from == last.to then last.by = last.by .. " (error)" end
+  last.by = last.by .. " (error)"
 end
 
 -- Calls the host to write all changes, and returns the reply: leaf, mode, errors,
