@@ -1,4 +1,4 @@
--- Which of two layouts is drawn.
+-- Which of some layouts is drawn.
 
 local choice = require "rfsm.pictures.choice"
 local lines = require "rfsm.pictures.lines"
@@ -11,11 +11,18 @@ local function line(x, y, x2, y2)
   return { points = { point(0), point(1 / 3), point(2 / 3), point(1) } }
 end
 
--- A layout with a number of crossings.
-local function layout(kind, crossings, height)
+-- A layout: its number of crossings, and its height.
+local function layout(crossings, height)
+  return { crossings = crossings, width = 100, height = height or 100 }
+end
+
+local function crossings_of(one) return one.crossings end
+
+-- Lines with a number of crossings.
+local function crossed(crossings)
   local list = { line(0, 100, 300, 100), line(-10, 50, 10, 50) }
   for i = 1, crossings do list[2 + i] = line(-10 + i, 41, -10 + i, 61) end
-  return { kind = kind, width = 100, height = height or 100, lines = list }
+  return list
 end
 
 local A4 = choice.size_of "a4"
@@ -23,7 +30,7 @@ local A4 = choice.size_of "a4"
 describe("choice", function()
   it("counts crossings", function()
     for count = 0, 3 do
-      assert.equal(count, choice.count_crossings(layout("plain", count).lines))
+      assert.equal(count, choice.count_crossings(crossed(count)))
     end
     local curve = { points = { { 0, 0 }, { 0, 100 }, { 100, 100 }, { 100, 0 } } }
     assert.equal(4, choice.count_crossings { curve, line(-10, 50, 110, 50),
@@ -32,22 +39,23 @@ describe("choice", function()
     assert.equal(0, choice.count_crossings { itself })
   end)
 
-  for _, case in ipairs {
-    { "of fewer crossings", { 1 }, { 2 }, "levels" },
-    { "of fewer crossings, plain", { 2 }, { 1 }, "plain" },
-    { "of our levels if both are alike", { 0 }, { 0 }, "levels" },
-    { "that is readable", { 0 }, { 0, 2000 }, "levels" },
-    { "that is readable, crossings or not", { 0, 2000 }, { 9 }, "plain" },
-    { "with fewer crossings, if both are readable", { 0, 1000 }, { 1 }, "levels" },
-    { "of the former kind", { 1 }, { 0 }, "levels", "levels" },
-    { "of the former kind, plain", { 0 }, { 2 }, "plain", "plain" },
-    { "that is much better", { 3 }, { 0 }, "plain", "levels" },
-    { "that is much better, levels", { 0 }, { 3 }, "levels", "plain" },
+  for _, case in ipairs { -- levels, plain, the better one, the former one
+    { "of fewer crossings", layout(1), layout(2), 1 },
+    { "of fewer crossings, plain", layout(2), layout(1), 2 },
+    { "that comes first, if both are alike", layout(0), layout(0), 1 },
+    { "that is readable", layout(0), layout(0, 2000), 1 },
+    { "that is readable, with crossings", layout(0, 2000), layout(2), 2 },
+    { "with fewer crossings, if both are readable", layout(0, 1000), layout(1), 1 },
+    { "without many crossings, readable or not", layout(0, 2000), layout(3), 1 },
+    { "of the former picture", layout(1), layout(0), 1, 1 },
+    { "of the former picture, plain", layout(0), layout(2), 2, 2 },
+    { "that is much better than the former one", layout(3), layout(0), 2, 1 },
+    { "that is much better than the former one, levels", layout(0), layout(3), 1, 2 },
   } do
     it("takes the layout " .. case[1], function()
-      local levels = layout("levels", case[2][1], case[2][2])
-      local plain = layout("plain", case[3][1], case[3][2])
-      assert.equal(case[4], choice.of(levels, plain, case[5], A4).kind)
+      local layouts = { case[2], case[3] }
+      assert.equal(layouts[case[4]],
+        choice.best(layouts, crossings_of, A4, layouts[case[5]]))
     end)
   end
 
@@ -60,41 +68,24 @@ describe("choice", function()
 
   local SIZE = choice.size_of("1000x1000")
 
-  local function shape(crossings, height)
-    return { crossings = crossings, width = 100, height = height }
-  end
-
-  it("keeps the shape of a former picture, unless another is much better", function()
-    for _, case in ipairs {
-      { shape(3, 2000), 1, 1750, true }, { shape(4, 2000), 1, 1750, false },
-      { shape(0, 2000), 0, 1730, false }, { shape(0, 2000), 9, 3000, true },
-    } do
-      assert.equal(case[4],
-        choice.keeps(case[1], shape(0, case[3]), SIZE, case[2]), case[3])
+  it("takes a crossing more for text that is 7 % larger, if it is too small", function()
+    local function best(...)
+      return choice.best({ layout(0, 2000), layout(9, 2000), ... }, crossings_of, SIZE)
     end
+    assert.equal(2000, best(layout(1, 1875)).height)
+    assert.equal(1855, best(layout(1, 1855)).height)
+    assert.equal(1600, best(layout(1, 1855), layout(2, 1600)).height)
+    assert.equal(1855, best(layout(1, 1855), layout(3, 1000)).height)
+    assert.equal(1420, best(layout(0, 1420), layout(0, 1000)).height) -- it is readable
   end)
 
-  it("takes the shape with the largest text of those with few crossings", function()
-    local shapes = { shape(2, 1800), shape(3, 1000), shape(1, 1500), shape(0, 1600) }
-    local function best(height, most)
-      return choice.for_sheet(shapes, shape(0, height), SIZE, most)
+  it("counts crossings only where they matter", function()
+    local shapes, counted = { layout(0), layout(1), layout(0, 2000), layout(0, 90) }, {}
+    local function count(one)
+      counted[one.height] = true
+      return one.crossings
     end
-    assert.equal(shapes[2], best(2000, 2))
-    assert.equal(shapes[4], best(2000, 0))
-    assert.equal(shapes[2], best(2000, 3))
-    assert.is_nil(best(1601, 0)) -- it has to be 2 % larger
-  end)
-
-  it("takes two crossings more for a fifth more of text, if it is too small", function()
-    local large = shape(2, 1000)
-    local function best(height)
-      return choice.for_sheet({ shape(0, height), large }, shape(0, 2000), SIZE, 0)
-    end
-    assert.equal(large, best(1430))
-    assert.equal(1420, best(1420).height) -- it is readable
-    large.height = 1200
-    assert.equal(1430, best(1430).height)
-    large.height, large.crossings = 1000, 3
-    assert.equal(1430, best(1430).height)
+    assert.equal(shapes[1], choice.best(shapes, count, SIZE))
+    assert.same({ [100] = true }, counted)
   end)
 end)
