@@ -91,6 +91,8 @@ describe("a schema of PostgreSQL", function()
         .. "'rfsm'::regnamespace;")
     end
     local before = count()
+    local version = server:sql("SELECT substring(obj_description('rfsm'::regnamespace, "
+      .. "'pg_namespace') FROM '[0-9]+$');")
     server:sql("COMMENT ON SCHEMA rfsm IS 'rfsm schema 99'; DROP FUNCTION rfsm.wake;")
     local function load_it()
       return servers.output_of(("{ PGHOST=%s PGUSER=postgres tools/rfsm postgres %s "
@@ -99,7 +101,7 @@ describe("a schema of PostgreSQL", function()
     end
     assert.equal(("rfsm postgres: rfsm: nothing was loaded: the schema is of version "
       .. "99, this script knows %d (load one of the rfsm that made it)\n2\n"):format(
-      require("rfsm.postgres.schema").VERSION), load_it())
+      version), load_it())
     assert.equal(tostring(tonumber(before) - 1) .. "\n", count())
     server:sql("DROP SCHEMA rfsm CASCADE")
     assert.equal("0\n", load_it())
