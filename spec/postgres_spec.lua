@@ -328,7 +328,7 @@ off|{"owner": "me", "times": 1}
 off|{"owner": "me", "times": 1}
 ENTRY error executing entry of root.on:  no bulb
 ||root.off
-e_on|root.off|root.on
+e_on (error)|root.off|root.on
 (time)|root.on|root.off
 ]], server:sql([[
 SELECT chart, state, mode, event, due, data FROM rfsm.machines;
@@ -444,11 +444,11 @@ describe("a machine in PostgreSQL", function()
 root.off
 WARNING:  1: ENTRY error executing entry of root.on:  no bulb
 root.on
-lamp|root.on|done|e_on|t|{"root": {"owner": "me"}}
+lamp|root.on|done|e_on (error)|t|{"root": {"owner": "me"}}
 off|{"owner": "me", "times": 1}
 ENTRY error executing entry of root.on:  no bulb
 ||root.off
-e_on|root.off|root.on
+e_on (error)|root.off|root.on
 |root.on|
 ]], sql([[
 SELECT rfsm.create('1', 'lamp', '{"owner": "me"}');
