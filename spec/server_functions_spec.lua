@@ -641,6 +641,32 @@ it("notes a deferred event that another one has brought back, and who sends", fu
   assert.same({ "e_x by ann", "e_b (recalled: e_x)" }, lines)
 end)
 
+it("notes what a timer has moved in a region, not one that moved nothing", function()
+  require "rfsm_seqand"
+  load_library({ { name = "r", make = function()
+    return state {
+      work = rfsm.seqand {
+        pump = state { waiting = state {}, pumping = state {}, filled = state {},
+          trans { src = "initial", tgt = "waiting" },
+          trans { src = "waiting", tgt = "pumping", events = { "e_after(1)" } },
+          trans { src = "pumping", tgt = "filled", events = { "e_after(1)" } } },
+        watch = state { looks = state {},
+          trans { src = "initial", tgt = "looks" },
+          trans { src = "looks", tgt = "internal", events = { "e_every(0.5)" } } } },
+      trans { src = "initial", tgt = "work" } }
+  end } }, { history = 5 })
+  f.rfsm_create({ "r" }, { "r" })
+  for i = #trace, 1, -1 do trace[i] = nil end
+  clock.now = 1002.75
+  assert.same({ "root.work", "active", "taken" }, f.rfsm_tick({ "r" }, {}))
+  local moves = {}
+  for move in table.concat(trace, "\n"):gmatch("event,6=(.-),11=") do
+    moves[#moves + 1] = move
+  end
+  local move = "(time),7=from,8=root.work,9=to,10=root.work"
+  assert.same({ move, move }, moves)
+end)
+
 it("does what one machine does whose host is punctual", function()
   assert.is_nil(share.problem(require "spec.support.claims.fleet", 60))
 end)

@@ -405,18 +405,32 @@ local function waiting_in(chart)
   return texts
 end
 
---- Do the same as `charts.step`. Return also what a history has of the events that the
---- machine kept before and keeps no longer: " (recalled: e_a, e_b)".
+-- Returns the active leaves of the regions.
+local function leaves_in(chart)
+  local leaves = {}
+  for i, region in ipairs(chart.regions) do leaves[i] = region._act_leaf end
+  return leaves
+end
+
+--- Do the same as `charts.step`. Return also whether a region is in another leaf, and
+--- what a history has of the events that the machine kept before and keeps no longer:
+--- " (recalled: e_a, e_b)".
 function charts.step_noting(chart, steps)
   local before, count, gone = waiting_in(chart), {}, {}
+  local leaves, has_moved = leaves_in(chart), false
   local is_idle, is_taken = charts.step(chart, steps)
-  if not before[1] then return is_idle, is_taken end
-  for _, text in ipairs(waiting_in(chart)) do count[text] = (count[text] or 0) + 1 end
+  for i, leaf in ipairs(leaves_in(chart)) do
+    has_moved = has_moved or leaf ~= leaves[i]
+  end
+  for _, text in ipairs(before[1] and waiting_in(chart) or before) do
+    count[text] = (count[text] or 0) + 1
+  end
   for _, text in ipairs(before) do
     count[text] = (count[text] or 0) - 1
     if count[text] < 0 then gone[#gone + 1] = text end
   end
-  return is_idle, is_taken, gone[1] and " (recalled: " .. concat(gone, ", ") .. ")"
+  return is_idle, is_taken, has_moved,
+    gone[1] and " (recalled: " .. concat(gone, ", ") .. ")"
 end
 
 -- Returns a table: path of a leaf, also of one in a region -> the leaf, and the machine

@@ -258,10 +258,11 @@ local function add_id(machine, id)
 end
 
 -- Notes that a machine has come to a leaf. If it was there, this is only for a history,
--- which has no timers that moved nothing.
-local function add_move(machine, by, at)
+-- which has no timers that moved nothing, neither the machine nor a region.
+local function add_move(machine, by, at, has_region_moved)
   local from, moves = machine.at, machine.moves
-  if at == from and (by == TIME or not options.history) then return end
+  local is_move = at ~= from or has_region_moved or by ~= TIME and options.history
+  if not is_move then return end
   moves[#moves + 1] = { by = by, from = from, to = at }
   machine.at = at
 end
@@ -270,12 +271,13 @@ end
 -- which also has those that were deferred before and have run now. Returns whether a
 -- path was taken.
 local function step(machine, by)
-  local is_idle, is_taken, recalled = step_chart(machine.chart, MAX_STEPS)
+  local is_idle, is_taken, has_region_moved, recalled =
+    step_chart(machine.chart, MAX_STEPS)
   if recalled then by = by .. recalled end
   local leaf = machine.fsm._act_leaf
   local at = leaf and leaf._fqn or ""
   machine.is_idle = is_idle
-  add_move(machine, by, at)
+  add_move(machine, by, at, has_region_moved)
   return is_taken
 end
 
