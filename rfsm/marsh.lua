@@ -389,10 +389,11 @@ end
 
 local EFFECTS, PROGRAMS = { "guard", "effect" }, { "entry", "exit", "doo" }
 
--- Returns a name for an event that is a function: its text, or else file and line.
+-- Returns a name for an event that is a function: its text, or else file and line; a
+-- function in C has neither.
 local function name_of(writer, f)
   local text, place = writer.callback_text(f)
-  return text ~= marsh.UNKNOWN and text or place
+  return text == marsh.UNKNOWN and place ~= "" and place or text
 end
 
 -- Returns the events of a transition or reaction in words.

@@ -261,8 +261,8 @@ describe("the full description", function()
     end
     assert.same({ "done", "after 0.5 s", "at 20 s", "e_go", "e_done@root.b" },
       words { "e_done", "e_after(0.5)", "e_at(20)", "e_go", "e_done@root.b" })
-    assert.same({ "await(e_a, e_b)", "near", "table 1", "7" },
-      words { "await(e_a, e_b)", near, {}, 7 })
+    assert.same({ "await(e_a, e_b)", "near", "table 1", "7", ".." },
+      words { "await(e_a, e_b)", near, {}, 7, rawequal })
     local after = require("rfsm_timeevent").e_after
     assert.same({ "after 3 s", "after x" }, words { after(3), after(near, "x") })
   end)
