@@ -88,6 +88,22 @@ it("a guard that drops the recalled event, and a hook that drops none, end", fun
   assert.same({ 2, {} }, { count, rfsm.waiting(fsm) })
 end)
 
+it("an object that a named transition takes is deferred without a warning", function()
+  local named, warnings = rfsm.named "e_job", {}
+  local fsm = helper.started(state { info = false, final = true,
+    warn = function(text) warnings[#warnings + 1] = text end,
+    a = state { defer = { named } }, b = state {}, c = state { final = true },
+    trans { src = "initial", tgt = "a" },
+    trans { src = "a", tgt = "b", events = { "e_go" } },
+    trans { src = "b", tgt = "c", events = { named } } })
+  rfsm.send_events(fsm, setmetatable({ name = "e_job" }, { __index = {} }))
+  rfsm.run(fsm)
+  rfsm.send_events(fsm, "e_go")
+  rfsm.run(fsm)
+  assert.equal("root.c", at(fsm))
+  assert.same({}, warnings)
+end)
+
 it("a post step hook that fails keeps no event from being deferred, or told", function()
   local told = {}
   local fsm = helper.started(rfsm.state { info = false,

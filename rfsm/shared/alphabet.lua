@@ -3,10 +3,11 @@
 -- @module rfsm.shared.alphabet
 -- @license BSD-3-Clause
 
+local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 
-local ipairs, rawget, type = ipairs, rawget, type
+local ipairs, type = ipairs, type
 
 local alphabet = {}
 
@@ -58,23 +59,12 @@ function alphabet.of(fsm) return collect { { machine = fsm } } end
 --- Collect the events that the transitions of a machine and its regions name.
 function alphabet.of_all(fsm) return collect(rfsm.machines(fsm)) end
 
--- May a predicate accept an event, or the events of a predicate of the same name?
--- Predicates of the user are not called; they count as accepting any event.
-local function accept(predicates, event)
-  local name = rfsm.event_name(event)
-    or type(event) == "table" and rawget(event, "name")
-  return order.any(predicates, function(predicate)
-    local own = rfsm.event_name(predicate)
-    return not own or own == name
-  end)
-end
-
 --- Does a machine know an event, or may one of its predicates accept it?
 ---@param known rfsm.Alphabet
 ---@param event any
 ---@return boolean
 function alphabet.has(known, event)
-  return known.set[event] or accept(known.predicates, event)
+  return known.set[event] or match.may_accept(known.predicates, event)
 end
 
 --- Does a machine take an event only with data?

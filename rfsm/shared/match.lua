@@ -11,7 +11,7 @@ local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 
 local getmetatable, ipairs = getmetatable, ipairs
-local rawequal, setmetatable, type = rawequal, setmetatable, type
+local rawequal, rawget, setmetatable, type = rawequal, rawget, setmetatable, type
 
 local match = {}
 
@@ -105,13 +105,20 @@ function match.triggers(tr, event)
   return false
 end
 
--- May a transition take an event, or the events of a predicate? Predicates of the user
--- are not called; they count as accepting any event.
-local function may_take(tr, event, name)
-  if match.begins_on_any(tr) or match.names(tr, event) then return true end
-  for _, other in ipairs(tr.events) do
-    local own = rfsm.event_name(other)
-    if type(other) == "function" and (not own or own == name) then return true end
+--- May one of some predicates accept an event, or the events of a predicate of the
+--- same name? Predicates of the user are not called; they count as accepting any event.
+--- Other values in the list accept none.
+---@param predicates any[]
+---@param event any
+---@return boolean
+function match.may_accept(predicates, event)
+  local name = rfsm.event_name(event)
+    or type(event) == "table" and rawget(event, "name")
+  for i = 1, #predicates do
+    local own = rfsm.event_name(predicates[i])
+    if type(predicates[i]) == "function" and (not own or own == name) then
+      return true
+    end
   end
   return false
 end
@@ -132,10 +139,13 @@ end
 ---@param event any
 ---@return boolean
 function match.may_be_taken(transitions, event)
-  local name = rfsm.event_name(event) or rfsm.name_with_data(event)
-  if type(event) == "function" and not name then return true end
+  if type(event) == "function" and not rfsm.event_name(event) then return true end
   for i = 1, #transitions do
-    if may_take(transitions[i], event, name) then return true end
+    local tr = transitions[i]
+    if match.begins_on_any(tr) or match.names(tr, event)
+      or match.may_accept(tr.events, event) then
+      return true
+    end
   end
   return false
 end
