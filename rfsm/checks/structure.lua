@@ -269,12 +269,13 @@ local UNKNOWN = " (the program may write it)"
 -- Returns the hint for a name in `keep` that is no field: one that is there, or that
 -- functions use, and that the state does not keep.
 local function hint_for_kept(state, name, fields)
-  local names = {}
+  local known, names = {}, {}
+  for key in order.each(fields) do known[key] = true end -- any order: a copy
   for key, value in order.each(rfsm.model_of(state)) do -- any order: a set
     local is_data = type(key) == "string" and not rfsm.is_callable(value)
-    if is_data and not rfsm.is_fsmobj(value) then fields[key] = true end
+    if is_data and not rfsm.is_fsmobj(value) then known[key] = true end
   end
-  for _, key in ipairs(rfsm.sorted_keys(fields)) do
+  for _, key in ipairs(rfsm.sorted_keys(known)) do
     if not match.has(state.keep, key) then names[#names + 1] = key end
   end
   local hint = advice.did_you_mean(name, names)
@@ -283,10 +284,9 @@ end
 
 -- Finds names in `keep` of fields that neither the state nor a function of the chart
 -- has. A program may write them: only one that looks like another is a warning.
-local function check_keep(fsm, state, add)
-  local words, fields, is_known
+local function check_keep(fsm, state, add, words_of_all)
   for _, name in ipairs(is_list(state.keep) and state.keep or {}) do
-    if not words then words, fields, is_known = words_of(fsm) end
+    local words, fields, is_known = words_of_all()
     if type(name) == "string" and state[name] == nil and not words[name] then
       local hint = hint_for_kept(state, name, fields)
       local is_sure = is_known and hint ~= UNKNOWN
@@ -302,13 +302,13 @@ local FUNCTIONS = { entry = true, exit = true, doo = true, guard = true, effect 
 
 -- Finds what was probably meant as a region: a function whose call was forgotten, and a
 -- number that no function uses.
-local function check_members(fsm, state, add)
+local function check_members(state, add, words_of_all)
   for _, key in ipairs(rfsm.sorted_keys(rfsm.model_of(state))) do
     local value = type(key) == "string" and state[key]
     if type(value) == "function" and not FUNCTIONS[key] then
       add("unmarked", state, ("'%s' is a function and no region (did you mean %s = "
         .. "%s()?)"):format(key, key, key))
-    elseif type(value) == "number" and key ~= "step" and not words_of(fsm)[key] then
+    elseif type(value) == "number" and key ~= "step" and not words_of_all()[key] then
       add("unmarked", state, ("'%s' is a number and no region (a region is a state)")
         :format(key))
     end
@@ -481,6 +481,11 @@ end
 --- Find mistakes in the structure of a machine.
 ---@type rfsm_checks.Check
 function structure.check(fsm, add, reached)
+  local words, fields, is_known
+  local function words_of_all() -- read once, for the first that asks
+    if not words then words, fields, is_known = words_of(fsm) end
+    return words, fields, is_known
+  end
   for _, obj in ipairs(rfsm.elements(fsm)) do
     if rfsm.is_node(obj) then
       check_node(fsm, obj, reached, add)
@@ -489,8 +494,8 @@ function structure.check(fsm, add, reached)
     if rfsm.is_trans(obj) then check_transition(obj, add) end
     if rfsm.is_state(obj) then
       check_foreign(obj, add)
-      check_keep(fsm, obj, add)
-      if select(2, rfsm.regions(obj)) then check_members(fsm, obj, add) end
+      check_keep(fsm, obj, add, words_of_all)
+      if select(2, rfsm.regions(obj)) then check_members(obj, add, words_of_all) end
     end
     check_final(fsm, obj, add)
     check_names(obj, add)
