@@ -304,16 +304,13 @@ end
 -- Warns of what was put into the machine after rfsm.init: functions in fields whose
 -- names look like misspelt ones (`entri`), and elements.
 local function check_fields(fsm, obj)
-  local kind = rfsm.is_root(obj) and "root" or rfsm.kind_of(obj)
   local model = rfsm.model_of(obj)
   for _, key in ipairs(rfsm.sorted_keys(obj)) do
     local value = not rfsm.is_meta(key) and obj[key]
     local is_new = type(key) == "string" and not rawequal(value, rawget(model, key))
-    local meant = is_new and rfsm.is_callable(value) and advice.field_meant(kind, key)
-      or ""
-    if meant ~= "" then
-      warn(fsm, ("%s: a %s has no field '%s' (did you mean '%s'?)"):format(
-        rfsm.location_of(obj), rfsm.kind_of(obj), key, meant))
+    local text = is_new and value and advice.misspelt(obj, key, value) or ""
+    if text ~= "" then
+      warn(fsm, rfsm.location_of(obj) .. ": " .. text)
     elseif is_foreign(value) then
       warn(fsm, ("%s.%s: a %s that was added after rfsm.init is not looked at (did you "
         .. "mean rfsm.fsm_merge?)"):format(rfsm.location_of(obj), text_of(key),

@@ -4,6 +4,7 @@ local ab = require "spec.support.ab"
 local helper = require "spec.helper"
 local rfsm = require "rfsm"
 local rfsm_checks = require "rfsm_checks"
+local share = require "spec.support.share"
 local stubs = require "rfsm.shared.stubs"
 local timeevent = require "rfsm_timeevent"
 require "rfsm.await"
@@ -119,8 +120,8 @@ end
 describe("check", function()
   it("finds what is wrong with the top of a part of a machine", function()
     local whole = helper.init(state { p = chart { guard = print }, go("initial", "p") })
-    assert.same({ "root: the guard of a state is never called [never-called]" },
-      lines_of(whole.p))
+    assert.same({ "root: a state has no field 'guard' (a transition has it) "
+      .. "[never-called]" }, lines_of(whole.p))
   end)
 
   it("has the warnings of a model that is not valid, too", function()
@@ -436,9 +437,9 @@ local CASES = {
   { "never-called", "callbacks of a connector, a state and a transition", {
     k = conn { entry = yes }, [4] = go("a", "k", "e"), [5] = go("k", "a", nil,
       { doo = yes }), b = state { guard = yes } },
-    "root.trans[5] (k -> a): the doo of a transition is never called",
-    "root.b: the guard of a state is never called",
-    "root.k: the entry of a connector is never called" },
+    "root.trans[5] (k -> a): a transition has no field 'doo' (a state has it)",
+    "root.b: a state has no field 'guard' (a transition has it)",
+    "root.k: a connector has no field 'entry' (a state has it)" },
   { "never-called", "none where they belong", { b = state { entry = yes },
     [4] = go("a", "a", "e", { guard = yes, effect = yes }) } },
   { "shadowed", "none behind a connector that the path has passed", { k = conn {},
@@ -546,11 +547,11 @@ local CASES = {
     { a = state { always = true }, b = state { timed = "1" },
       [4] = go("a", "b", nil, { Always = true }),
       [5] = go("b", "a", nil, { always = "yes" }) },
+    "root.b: timed: true expected, got string '1' (timed = true)",
     "root.trans[4] (a -> b): a transition has no field 'Always' (did you mean "
       .. "'always'?)",
     "root.trans[5] (b -> a): always: true expected, got string 'yes' (always = true)",
-    "root.a: a state has no field 'always' (a transition has it)",
-    "root.b: timed: true expected, got string '1' (timed = true)" },
+    "root.a: a state has no field 'always' (a transition has it)" },
   { "unknown-field", "a field of another element, or a value that is nearly right",
     { read = "One", a = state { read = "one" }, b = conn { history = "deep" },
       [4] = go("a", "b", "e", { timed = true, defer = { "e" } }) },
@@ -594,7 +595,8 @@ local CASES = {
   { "unknown-field", "no data of the user's", { read = 2 } },
   { "unknown-field", "a field of an extension in another element",
     { a = state { likely = yes, strict = true } },
-    "root.a: a state has no field 'likely' (a transition has it)" },
+    "root.a: a state has no field 'likely' (a transition has it)",
+    "root.a: a state has no field 'strict' (the root has it)" },
   { "unknown-field", "a field that is nearly one of a sequential AND state",
     { [4] = go("a", "c", "e_c"), [5] = go("c", "a", "e_a"), c = rfsm.seqand {
       idledoo = "auto", steps = 2, read = "one", x = chart() } },
@@ -713,18 +715,44 @@ describe("a callback that is never called", function()
       for _, field in ipairs(FIELDS) do
         obj[field] = yes
         if not CALLED[kind]:find(field) then
-          expected[#expected + 1] = ("the %s of a %s is never called"):format(field,
-            kind)
+          expected[#expected + 1] = ("a %s has no field '%s'"):format(kind, field)
         end
       end
       local texts = findings_of(chart(members), "never-called")
-      for i = 1, #texts do texts[i] = texts[i]:match(": (the .*)$") end
+      for i = 1, #texts do texts[i] = texts[i]:match(": (a .-) %(") end
       table.sort(texts)
       table.sort(expected)
       assert.same(expected, texts)
       assert.same({}, findings_of(chart(members), "init")) -- each mistake is told once
     end)
   end
+end)
+
+describe("a field", function()
+  it("with a slip of the pen, or of another kind of element, is told", function()
+    assert.is_nil(share.problem(require "spec.support.claims.fields", 15))
+  end)
+
+  it("that is a time in another library is noted", function()
+    assert.same({ "root.trans[4] (a -> b): a transition has no field 'timeout' (events "
+      .. "= { 'e_after(3)' })", "root.a: a state has no field 'after' (a transition "
+      .. "beside the state: events = { 'e_after(2)' })" }, findings_of(chart {
+      a = state { after = 2, timeout = "soon" },
+      [4] = go("a", "b", "e", { timeout = 3 }) }, "unknown-field"))
+  end)
+
+  it("that the chart itself reads is the user's", function()
+    assert.same({}, findings_of(chart { a = state { timeout = 3, order = { "x" },
+      entry = function(_, s) return s.timeout, s.order end } }, "unknown-field"))
+  end)
+end)
+
+describe("a sequential AND state", function()
+  it("without regions is told", function()
+    assert.same({ "root.c: a sequential AND state without a region (a region is a "
+      .. "state)" }, findings_of(chart { c = rfsm.seqand {}, [4] = go("a", "c", "e"),
+      [5] = go("c", "a", "e_c") }, "unmarked"))
+  end)
 end)
 
 describe("each code", function()

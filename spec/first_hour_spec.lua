@@ -444,6 +444,7 @@ return state { a = state {}, b = state { final = "yes" },
   trans { src = "a", tgt = "b", events = { "e_go" } } }
 --C :1: warning: root.b: final: true expected, got string 'yes' (final = true)
     [unknown-field]
+--S WARNING: :1: root.b: final: true expected, got string 'yes' (final = true)
 == state_called_final
 -- events: e_go
 return state { a = state {},

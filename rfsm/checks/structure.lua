@@ -154,89 +154,20 @@ local function check_final(fsm, obj, add)
   if rfsm.is_composite(obj) then
     add("misplaced", obj, "final = true in a composite says nothing (mark the leaf in "
       .. "it that ends it)")
-  elseif not is_leaf(obj) then
-    add("misplaced", obj, ("final = true in a %s says nothing (mark the leaf behind "
-      .. "it)"):format(rfsm.kind_of(obj)))
-  elseif obj ~= fsm and obj._otrs[1] then
+  elseif is_leaf(obj) and obj ~= fsm and obj._otrs[1] then
     add("misplaced", obj, "final = true, but a transition leaves it (remove one of "
       .. "them)")
   end
 end
 
-local NEVER_CALLED = {
-  state = { "guard", "effect" }, transition = { "entry", "exit", "doo" },
-  connector = { "entry", "exit", "doo", "guard", "effect" },
-}
-
-local function check_callbacks(obj, add)
-  local kind = rfsm.kind_of(obj)
-  for _, field in ipairs(NEVER_CALLED[kind]) do
-    if rfsm.is_callable(obj[field]) then
-      add("never-called", obj, ("the %s of a %s is never called"):format(field, kind))
-    end
-  end
-end
-
-local function is_true(value) return value == true end
 local READ = { "one", "all" }
-local function is_read(value) return value == READ[1] or value == READ[2] end
-local function is_list(value)
-  return type(value) == "table" and type(value[1]) == "string"
-end
-
--- Fields, the kind of element that has them, and the types of values that are mistakes
--- under a similar name. The last item tells whether a value is meant for the field also
--- in an element of another kind; `advice` knows that of extensions.
-local FIELDS = {
-  { "final", "state", "boolean" }, { "timed", "state", "boolean" },
-  { "always", "transition", "boolean", is_true }, { "read", "root", "", is_read },
-  { "keep", "state", "", is_list },
-  { "dbg", "root", "boolean" }, { "err", "root", "boolean" },
-  { "info", "root", "boolean" }, { "warn", "root", "boolean" },
-  { "strict", "root", "boolean" },
-  { "idle_doo", "sequential AND state", "boolean string" },
-  { "order", "sequential AND state", "table" },
-  { "run", "sequential AND state", "boolean" },
-  { "step", "sequential AND state", "number" },
-}
-
-local function is_of_kind(obj, kind)
-  if kind == "root" then return rfsm.is_root(obj) end
-  return rfsm.kind_of(obj) == kind
-    or kind == "sequential AND state" and rawget(obj, "substates") ~= nil
-end
-
--- Returns the kind of element that has a field with such a value; nil if none has.
-local function owner_of(key, value)
-  for _, field in ipairs(FIELDS) do
-    if field[1] == key and field[4] and field[4](value) then return field[2] end
-  end
-  return advice.owner_of(key, value)
-end
-
-local function could_be(field, value)
-  return field[3]:find(type(value), 1, true) or field[4] and field[4](value)
-end
-
--- Finds a key that is nearly a field of this kind, and a flag that is a text.
-local function check_name(obj, key, field, add)
-  local name, kind, found = field[1], field[2], type(obj[key])
-  local is_near = key ~= name and key ~= "idle.doo" and advice.is_near(key, name)
-    or name == "dbg" and key == "debug"
-  if is_near and could_be(field, obj[key]) then
-    add("unknown-field", obj, ("a %s has no field '%s' (did you mean '%s'?)"):format(
-      kind == "root" and "state" or kind, key, name))
-  elseif key == name and field[3] == "boolean" and found == "string" then
-    add("unknown-field", obj, ("%s: true expected, %s (%s = true)"):format(name,
-      rfsm.got(obj[key]), name))
-  end
-end
 
 -- Finds a value of `read` that is nearly one of those that count.
 local function check_read(fsm, add)
   local value = fsm.read
   local hint = type(value) == "string" and advice.did_you_mean(value, READ) or ""
-  if hint ~= "" and not is_read(value) or value == true or value == 1 then
+  local is_right = value == READ[1] or value == READ[2]
+  if hint ~= "" and not is_right or value == true or value == 1 then
     add("unknown-field", fsm, "read: 'one' or 'all' expected, " .. rfsm.got(value)
       .. hint)
   end
@@ -285,7 +216,7 @@ end
 -- Finds names in `keep` of fields that neither the state nor a function of the chart
 -- has. A program may write them: only one that looks like another is a warning.
 local function check_keep(fsm, state, add, words_of_all)
-  for _, name in ipairs(is_list(state.keep) and state.keep or {}) do
+  for _, name in ipairs(type(state.keep) == "table" and state.keep or {}) do
     local words, fields, is_known = words_of_all()
     if type(name) == "string" and state[name] == nil and not words[name] then
       local hint = hint_for_kept(state, name, fields)
@@ -296,36 +227,49 @@ local function check_keep(fsm, state, add, words_of_all)
   end
 end
 
--- Fields of a sequential AND state that may be functions.
-local FUNCTIONS = { entry = true, exit = true, doo = true, guard = true, effect = true,
-  save = true, load = true, seqanddbg = true, andseqdbg = true }
-
--- Finds what was probably meant as a region: a function whose call was forgotten, and a
--- number that no function uses.
+-- Finds a sequential AND state without regions, and what was probably meant as one: a
+-- function whose call was forgotten, and a number that no function uses.
 local function check_members(state, add, words_of_all)
+  if not rfsm.regions(state)[1] then
+    add("unmarked", state, "a sequential AND state without a region (a region is a "
+      .. "state)")
+  end
   for _, key in ipairs(rfsm.sorted_keys(rfsm.model_of(state))) do
     local value = type(key) == "string" and state[key]
-    if type(value) == "function" and not FUNCTIONS[key] then
+    if advice.is_field(key) or advice.misspelt(state, key, value) ~= "" then
+      value = nil
+    end
+    if type(value) == "function" then
       add("unmarked", state, ("'%s' is a function and no region (did you mean %s = "
         .. "%s()?)"):format(key, key, key))
-    elseif type(value) == "number" and key ~= "step" and not words_of_all()[key] then
+    elseif type(value) == "number" and not words_of_all()[key] then
       add("unmarked", state, ("'%s' is a number and no region (a region is a state)")
         :format(key))
     end
   end
 end
 
+-- Fields of the library whose names programs use, too.
+local IS_COMMON = {}
+for word in ("dbg info warn err strict rename migrate run step order src tgt pn save "
+  .. "load prepare after delay timeout"):gmatch("%S+") do
+  IS_COMMON[word] = true
+end
+
+local CODES = { entry = "never-called" }
+CODES.exit, CODES.doo = CODES.entry, CODES.entry
+CODES.guard, CODES.effect = CODES.entry, CODES.entry
+
 -- Finds fields of another kind of element, and those that are nearly right.
-local function check_names(obj, add)
-  for _, key in ipairs(rfsm.sorted_keys(obj)) do
-    local owner = owner_of(key, obj[key])
-    if owner and not is_of_kind(obj, owner) then
-      add("unknown-field", obj, ("a %s has no field '%s' (%s %s has it)"):format(
-        rfsm.kind_of(obj), key, owner == "root" and "the" or "a", owner))
+local function check_names(obj, add, words_of_all)
+  for _, key in ipairs(rfsm.sorted_keys(rfsm.model_of(obj))) do
+    local is_name = type(key) == "string"
+    local text = is_name and advice.misplaced(obj, key, obj[key]) or ""
+    if text ~= "" and not (IS_COMMON[key] and words_of_all()[key]) then
+      add(CODES[key] or "unknown-field", obj, text, IS_COMMON[key] and "note")
     end
-    for _, field in ipairs(type(key) == "string" and FIELDS or {}) do
-      if is_of_kind(obj, field[2]) then check_name(obj, key, field, add) end
-    end
+    text = is_name and advice.misspelt(obj, key, obj[key]) or ""
+    if text ~= "" then add("unknown-field", obj, text) end
   end
 end
 
@@ -498,8 +442,7 @@ function structure.check(fsm, add, reached)
       if select(2, rfsm.regions(obj)) then check_members(obj, add, words_of_all) end
     end
     check_final(fsm, obj, add)
-    check_names(obj, add)
-    check_callbacks(obj, add)
+    check_names(obj, add, words_of_all)
   end
   check_read(fsm, add)
   check_connectors(fsm, add)
