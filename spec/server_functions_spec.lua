@@ -1265,6 +1265,47 @@ describe("a machine that is forced", function()
     assert.equal("", call("get")[16])
   end)
 
+  it("keeps what it has deferred, its histories, and what it sends later", function()
+    require "rfsm.defer"
+    require "rfsm.history"
+    local job = rfsm.named "e_job"
+    local function region()
+      return state { keep = { "at" }, at = "", l = state { defer = { job } },
+        m = state {}, trans { src = "initial", tgt = "l" },
+        trans { src = "m", tgt = "internal", events = { job },
+          effect = function(fsm, _, _, _, event) fsm.at = event.at end } }
+    end
+    load_library({ { name = "keeps", make = function()
+      return state { info = false, warn = false, emem = true,
+        a = state { defer = { job }, entry = function(fsm)
+          timeevent.send_after(fsm, 5, "e_w")
+        end },
+        w = state { history = "deep", w1 = state {}, w2 = state {},
+          trans { src = "initial", tgt = "w1" },
+          trans { src = "w1", tgt = "w2", events = { "e_2" } } },
+        par = rfsm.seqand { left = region(), right = region() },
+        trans { src = "initial", tgt = "w" }, trans { src = "w", tgt = "a",
+          events = { "e_a" } },
+        trans { src = "a", tgt = "w", events = { "e_w" } },
+        trans { src = "a", tgt = "par", events = { job } } }
+    end } })
+    f.rfsm_create({ "k" }, { "keeps" })
+    f.rfsm_send({ "k" }, { "e_2" })
+    f.rfsm_send({ "k" }, { "e_a" })
+    f.rfsm_force({ "k" }, { "root.a" })
+    assert.equal("root.w.w2", f.rfsm_send({ "k" }, { "e_w" })[1])
+    f.rfsm_send({ "k" }, { "e_a" })
+    f.rfsm_force({ "k" }, { "root.par.left.l" })
+    f.rfsm_send({ "k" }, { '{"name":"e_job","at":1}' })
+    f.rfsm_force({ "k" }, { "root.par.left.m" })
+    assert.equal('[{"at":1,"name":"e_job"}]', f.rfsm_get({ "k" })[26]) -- of the right
+    assert.matches('"root.par.left":{"at":1}', f.rfsm_get({ "k" })[12], 1, true)
+    f.rfsm_force({ "k" }, { "root.a" })
+    assert.equal("[]", f.rfsm_get({ "k" })[26])
+    clock.now = 1006
+    assert.equal("root.w.w2", f.rfsm_tick({ "k" })[1])
+  end)
+
   it("needs the name of a leaf", function()
     assert.equal("ERR rfsm_force: chart 'c' has no leaf 'root.d' (did you mean "
       .. "'root.a'?)", call("force", "root.d"))

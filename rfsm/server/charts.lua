@@ -445,15 +445,23 @@ local function leaves_of(fsm)
   return leaves
 end
 
--- Puts one machine into a leaf, which resets the regions in this machine.
-local function force_into(fsm, leaf)
-  local mode = leaf.doo and "active" or "done"
-  rfsm.place(fsm, leaf, mode, leaf.doo and {} or { "e_done@" .. leaf._fqn })
+-- Calls the hooks with which extensions follow the states from the root to a leaf.
+local function call_hooks(fsm, hooks, leaf)
   rfsm.map_from_to(fsm, function(_, state)
-    for _, hook in ipairs(fsm._entry_hooks and fsm._entry_hooks[state] or {}) do
-      hook(fsm, state)
-    end
+    for _, hook in ipairs(hooks and hooks[state] or {}) do hook(fsm, state) end
   end, fsm, leaf)
+end
+
+-- Puts one machine into a leaf, which resets the regions in this machine. Extensions
+-- see states left and entered, so deferred events and histories stay.
+local function force_into(fsm, leaf)
+  for _, at in ipairs(rfsm.machines(fsm)) do
+    if rawequal(at.owner, fsm) then rfsm.reset(at.machine) end
+  end
+  if fsm._act_leaf then call_hooks(fsm, fsm._exit_hooks, fsm._act_leaf) end
+  rfsm.set_sta_mode(leaf, leaf.doo and "active" or "done")
+  fsm._intq, fsm._unread = leaf.doo and {} or { "e_done@" .. leaf._fqn }, 0
+  call_hooks(fsm, fsm._entry_hooks, leaf)
 end
 
 -- Puts the machine around a region into the state that runs the region, if it is not
