@@ -605,7 +605,7 @@ describe("an event with data", function()
     ['{"name":"e_back"}'] = "chart 'p' takes the event 'e_back' without data "
       .. "(with data it needs rfsm.named)",
     ['{"name":5}'] = "event 1: an object with a text 'name' expected",
-    ["{name}"] = "event 1: a JSON object expected",
+    ["{name}"] = "event 1: a JSON object expected, got 'name' in it",
     ['{"name":"e_paid","id":9007199254740993}'] = "event 1: the number "
       .. "9007199254740993: whole numbers below 2^53 expected",
     ['{"name":"e_paid","id":1e999}'] = "event 1: the number 1e999: whole numbers below "
@@ -727,8 +727,8 @@ describe("JSON that only some decoders take", function()
       open()
       load_library { { name = "c", make = chart } }
       local value = odd:find("u", 1, true) == 2 and '"' .. odd .. '"' or odd
-      assert.equal("ERR rfsm_create: data: a JSON object expected",
-        f.rfsm_create({ "k" }, { "c", '{"n":' .. value .. "}" }).err)
+      assert.equal("ERR rfsm_create: data: a JSON object expected, got '" .. odd
+        .. "' in it", f.rfsm_create({ "k" }, { "c", '{"n":' .. value .. "}" }).err)
     end)
   end
 
@@ -1969,7 +1969,7 @@ describe("the desk", function()
   it("refuses to set what is not kept, or no value", function()
     assert.equal("ERR rfsm_set: no state of chart 'c' keeps the field 'cont' (did you "
       .. "mean 'root.count'?)", refusal("set", "cont", "7"))
-    assert.equal("ERR rfsm_set: value: a JSON object expected",
+    assert.equal("ERR rfsm_set: value: JSON expected, got 'x' in it",
       refusal("set", "count", "x"))
     assert.equal("ERR rfsm_set: value: one value expected",
       refusal("set", "count", '1,"other":2'))

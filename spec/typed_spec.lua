@@ -34,6 +34,10 @@ describe("a typed event", function()
       .. "table expected, got 'John Smith}}'" },
     { "e{a = 1e999}", nil, "data: field 'a': a text in quotes, a number, true, false "
       .. "or a table expected, got '1e999'" },
+    { "e{a = 12345678901234567890}", nil,
+      "data: a whole number below 2^53 expected, got '12345678901234567890'" },
+    { "e{a = -9007199254740991, b = 1e20}",
+      { name = "e", a = -9007199254740991, b = 1e20 } },
     { "e{a = ", nil, "data: field 'a': a text in quotes, a number, true, false or a "
       .. "table expected, got the end" },
     { "e{a = 1}}", nil, "data: the end expected, got '}'" },

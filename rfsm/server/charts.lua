@@ -308,12 +308,14 @@ end
 --- Decode a JSON object. It has what the host's decoder returns for null.
 ---@param owner string the name of the object in messages
 ---@param text string
-function charts.decode_json(owner, text)
+---@param what? string what a message expects
+function charts.decode_json(owner, text, what)
   local is_whole = text:find("}%s*$") -- some decoders raise what pcall does not catch
   local ok, data = pcall(decode, is_whole and text or "0")
   local odd, number = find_odd(text)
   if not ok or odd and not number or type(data) ~= "table" then
-    fail("%s: a JSON object expected", owner)
+    fail("%s: %s expected%s", owner, what or "a JSON object",
+      is_whole and odd and (", got '%s' in it"):format(odd) or "")
   elseif odd then
     fail("%s: the number %s: whole numbers below 2^53 expected", owner, odd)
   end
@@ -324,11 +326,12 @@ end
 ---@param owner string the name of the object in messages
 ---@param text string
 ---@param most integer the greatest length of `text` in bytes
-function charts.read_json(owner, text, most)
+---@param what? string what a message expects
+function charts.read_json(owner, text, most, what)
   if #text > most then
     fail("%s: at most %d bytes expected, got %d", owner, most, #text)
   end
-  local data = charts.decode_json(owner, text)
+  local data = charts.decode_json(owner, text, what)
   local about = { owner = owner, base = 0, seen = {} }
   return encoding.unpack(encoding.pack(data, about, 0), 0)
 end

@@ -124,7 +124,7 @@ end
 -- Returns the value in a JSON text; nil for null or an absent text.
 local function value_of(text)
   if not text then return nil end
-  local data = charts.read_json("value", '{"value":' .. text .. "}", MAX_VALUE)
+  local data = charts.read_json("value", '{"value":' .. text .. "}", MAX_VALUE, "JSON")
   local value = data.value
   data.value = nil
   if next(data) ~= nil then fail("value: one value expected") end

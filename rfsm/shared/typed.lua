@@ -8,9 +8,10 @@
 
 local rfsm = require "rfsm"
 
-local error, pcall, select = error, pcall, select
+local error, pcall, rawget, select = error, pcall, rawget, select
 local tonumber, tostring, type = tonumber, tostring, type
-local char, floor, max = string.char, math.floor, math.max
+local abs, char, floor, max = math.abs, string.char, math.floor, math.max
+local math_type = rawget(math, "type")
 
 local typed = {}
 
@@ -159,8 +160,12 @@ end
 local function read_number(reader)
   local from, word = reader.at, take(reader, "(-?%.?%d[%w.+-]*)")
   local number = word and tonumber(word)
-  if number and number - number == 0 then return number end
+  local is_finite = number and number - number == 0
+  local is_exact = is_finite and (abs(number) < 2 ^ 53 or word:find("[.eE]")
+    or math_type and math_type(number) == "integer")
+  if is_exact then return number end
   reader.at = from
+  if is_finite then fail(reader, "a whole number below 2^53", word) end
   refuse_value(reader)
 end
 
