@@ -1365,6 +1365,20 @@ describe("values of the version before", function()
       .. '"leaf":"root.b","data":{"root":["%t","n",1]}}]')
     assert.same({ "root.a", "done", "taken" }, call("send", "e_a"))
   end)
+
+  it("go on: a machine that is held without a time", function()
+    local function held()
+      with_value('["rfsm","c",{"version":2,"chart":"6e3c8444031-2c59b6","done":true,'
+        .. '"leaf":"root.b","data":{"root":["%t","n",1]}},false,false,false,false,'
+        .. '[[999,"","e_a"]],true]')
+    end
+    held()
+    assert.equal("yes", call("get")[18])
+    held()
+    assert.same({ "root.b", "done", "kept" }, call("send", "e_b"))
+    assert.same({ "root.b", "done", "(release)" }, call("release"))
+    assert.equal('{"root":{"n":2}}', call("get")[12]) -- b, a, b
+  end)
 end)
 
 describe("a callback that changes what the machines of a chart share", function()

@@ -166,8 +166,10 @@ local function new_machine(key, chart, list, leaf)
 end
 
 local function read(key)
-  return host.read(key)
+  local list = host.read(key)
     or fail("no machine is at '%s' (rfsm_create makes one)", shown(key))
+  if list[HELD] == true then list[HELD] = now() end -- an older release noted no time
+  return list
 end
 
 -- Puts a snapshot into the newest version of its chart. If it does not fit there, it is
