@@ -833,6 +833,32 @@ describe("a machine that is moved to the newest version", function()
     clock.now = 1009
     assert.same({ "root.b", "done", "taken" }, f.rfsm_tick({ "w" }, { "due" }))
   end)
+
+  it("has its new name at once, also if a call has moved it that did not step", function()
+    local function load_versions(...)
+      local charts = {}
+      for i, leaf in ipairs { ... } do
+        charts[i] = { name = "n", make = function()
+          return state { rename = { ["root.a"] = "root." .. leaf }, [leaf] = state {},
+            trans { src = "initial", tgt = leaf },
+            trans { src = leaf, tgt = leaf, events = { "e_x" } } }
+        end }
+      end
+      load_library(charts, { history = 9 })
+    end
+    clock, trace = { now = 1000 }, {}
+    host = host_of.new(trace, clock)
+    load_versions "a"
+    for _, key in ipairs { "held", "later" } do f.rfsm_create({ key }, { "n" }) end
+    f.rfsm_hold({ "held" })
+    load_versions("a", "z")
+    written()
+    assert.equal("root.z", f.rfsm_send({ "held" }, { "e_x" })[1])
+    assert.equal("root.z",
+      f.rfsm_send_at({ "later" }, { "+9", "e_x", "ID", "1" })[1])
+    assert.equal(2, select(2, table.concat(trace, "\n"):gsub(
+      "event,6=%(move%),7=from,8=root.a,9=to,10=root.z", "")))
+  end)
 end)
 
 describe("machines that are due", function()

@@ -269,6 +269,12 @@ local function add_move(machine, by, at, has_region_moved)
   machine.at = at
 end
 
+-- Returns the FQN of the active leaf; "" if the machine was not entered.
+local function leaf_of(fsm)
+  local leaf = fsm._act_leaf
+  return leaf and leaf._fqn or ""
+end
+
 -- Steps a machine, and notes its move. `by` is the name of the events in the history,
 -- which also has those that were deferred before and have run now. Returns whether a
 -- path was taken.
@@ -276,19 +282,15 @@ local function step(machine, by)
   local is_idle, is_taken, has_region_moved, recalled =
     step_chart(machine.chart, MAX_STEPS)
   if recalled then by = by .. recalled end
-  local leaf = machine.fsm._act_leaf
-  local at = leaf and leaf._fqn or ""
   machine.is_idle = is_idle
-  add_move(machine, by, at, has_region_moved)
+  add_move(machine, by, leaf_of(machine.fsm), has_region_moved)
   return is_taken
 end
 
 -- Notes what a person has done with a machine: in its history, or, if there is none, in
 -- its log. It is the end of the reply, too.
 local function note(machine, what)
-  local fsm = machine.fsm
-  local leaf = fsm and fsm._act_leaf
-  add_move(machine, what, fsm and (leaf and leaf._fqn or "") or machine.at)
+  add_move(machine, what, machine.fsm and leaf_of(machine.fsm) or machine.at)
   machine.said = what
 end
 
@@ -473,6 +475,8 @@ local function save(machine, id)
   local snap = snapshot.take(machine.fsm)
   local due, emitted, errors = due_of(machine, snap), charts.effects()
   if errors[1] then mark_error(machine) end
+  local at = leaf_of(machine.fsm)
+  if at ~= machine.at then add_move(machine, "(move)", at) end -- it has a new name only
   machine.mode = leaf and leaf._mode or "inactive"
   machine.outcome = machine.outcome or outcome_of(machine, snap)
   list[SNAP] = snap
