@@ -834,7 +834,7 @@ describe("a machine that is moved to the newest version", function()
     assert.same({ "root.b", "done", "taken" }, f.rfsm_tick({ "w" }, { "due" }))
   end)
 
-  it("has its new name at once, also if a call has moved it that did not step", function()
+  it("has its new name at once, also without a step", function()
     local function load_versions(...)
       local charts = {}
       for i, leaf in ipairs { ... } do
