@@ -65,8 +65,7 @@ local OPTIONS = {
 --- (5), `patience`: seconds while no server answers (10), `tls`: parameters of luasec
 ---@return rfsm.fleet.Fleet fleet
 function fleet.connect(url, options)
-  local settings, problem = opts.read(OPTIONS, options or {})
-  if not settings then error("rfsm.fleet.connect: " .. problem, 2) end
+  local settings = opts.take("rfsm.fleet.connect", OPTIONS, options)
   local ok, made = pcall(connection.connect, url or "redis://127.0.0.1", settings)
   if not ok then
     error(made, made:find("^rfsm.fleet.connect") and 2 or 0)
@@ -600,8 +599,7 @@ local WORK = {
 
 -- Returns a list with the work of a worker on each hash tag.
 local function works_of(self, where, group, worker, options)
-  local settings, problem = opts.read(WORK, options or {})
-  if not settings then error("rfsm.fleet." .. where .. ": " .. problem, 3) end
+  local settings = opts.take("rfsm.fleet." .. where, WORK, options, 4)
   local works, failures = {}, {}
   for i, tag in ipairs(all_tags(self)) do
     works[i] = { fleet = self, tag = tag, stream = keys_of.out("{" .. tag .. "}"),

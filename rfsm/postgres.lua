@@ -68,8 +68,7 @@ function postgres.charts(arguments, options)
   if type(arguments) ~= "table" or arguments[1] == nil then
     error("rfsm.postgres.charts: list of files expected, " .. opts.got(arguments), 2)
   end
-  local settings, problem = opts.read(CHART_OPTIONS, options or {})
-  if not settings then error("rfsm.postgres.charts: " .. problem, 2) end
+  local settings = opts.take("rfsm.postgres.charts", CHART_OPTIONS, options)
   local text, warnings = script.library(arguments, settings)
   local json = { encode = codec.encode, decode = codec.decode, datum = rfsm.text_of }
   local answer = host.new({ json = json, warn = function() end,
@@ -164,8 +163,7 @@ local OPTIONS = {
 --- (10); `sleep`: a function that waits for some seconds (default: that of luasocket)
 ---@return rfsm.postgres.Client client
 function postgres.connect(charts, open, options)
-  local settings, problem = opts.read(OPTIONS, options or {})
-  if not settings then error("rfsm.postgres.connect: " .. problem, 2) end
+  local settings = opts.take("rfsm.postgres.connect", OPTIONS, options)
   if type(charts) ~= "table" or not charts.answer then
     error("rfsm.postgres.connect: result of rfsm.postgres.charts expected, "
       .. opts.got(charts), 2)
@@ -450,8 +448,7 @@ local WORK = {
 }
 
 local function take(self, where, options)
-  local settings, problem = opts.read(WORK, options or {})
-  if not settings then error("rfsm.postgres." .. where .. ": " .. problem, 3) end
+  local settings = opts.take("rfsm.postgres." .. where, WORK, options, 4)
   return ask_entries(self, where, [[SELECT id, key, what, data::text, try AS tries
     FROM rfsm.take($1::integer, $2::interval, $3::integer)]], settings.count,
     settings.lease .. " s", settings.tries)

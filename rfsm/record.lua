@@ -445,12 +445,6 @@ local OPTIONS = { to = opts.whole(0), dry = boolean, migrate = boolean,
   guards = boolean, each = callable, watch = callable }
 local OPTIONS_OF_SPEC = { chart = { "file name", opts.is_text }, dry = boolean }
 
--- Returns the options of a public function, which an error names.
-local function read_options(where, known, options)
-  local settings, problem = opts.read(known, options or {})
-  return settings or error(where .. ": " .. problem, 3)
-end
-
 --- How a recording is replayed.
 ---@class rfsm.record.Options
 ---@field to? integer stop after that many iterations
@@ -478,7 +472,7 @@ function record.replay(model, recording, options)
     error("rfsm.record.replay: state expected, got " .. type(model), 2)
   end
   model = rfsm.model_of(model)
-  options = read_options("rfsm.record.replay", OPTIONS, options)
+  options = opts.take("rfsm.record.replay", OPTIONS, options)
   local header, next_record = open(recording)
   if not header then return false, next_record end
   local session = replay(model, header, next_record, options)
@@ -548,7 +542,7 @@ end)
 ---@return string text
 ---@nodiscard
 function record.to_spec(recording, options)
-  options = read_options("rfsm.record.to_spec", OPTIONS_OF_SPEC, options)
+  options = opts.take("rfsm.record.to_spec", OPTIONS_OF_SPEC, options)
   local header, next_record = open(recording)
   if not header then error(next_record, 0) end
   local chart, texts, mark = options.chart or header.file, {}, "="

@@ -122,14 +122,12 @@ end
 
 --- Append a finding for each useless entry of a field `checks`: it silenced nothing.
 function Findings:add_idle_silences(fsm)
-  for _, entry in ipairs(rfsm.machines(fsm)) do
-    for _, obj in ipairs(rfsm.elements(entry.machine)) do
-      for _, code in ipairs(rfsm.sorted_keys(silences_of(obj))) do
-        local path = location.path(obj, entry.prefix)
-        if is_silenced(obj, code) and not self.silenced[path .. " " .. code] then
-          self:add("silence", obj, path, ("checks['%s']: there is nothing to silence "
-            .. "any more"):format(code), location.in_words(obj, entry.prefix))
-        end
+  for entry, obj in location.each(fsm) do
+    for _, code in ipairs(rfsm.sorted_keys(silences_of(obj))) do
+      local path = location.path(obj, entry.prefix)
+      if is_silenced(obj, code) and not self.silenced[path .. " " .. code] then
+        self:add("silence", obj, path, ("checks['%s']: there is nothing to silence "
+          .. "any more"):format(code), location.in_words(obj, entry.prefix))
       end
     end
   end

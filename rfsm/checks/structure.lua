@@ -178,18 +178,16 @@ end
 local function words_of(fsm)
   local words, fields, seen, is_known = {}, {}, {}, not stubs.are_used
   while rfsm.parent(fsm) do fsm = rfsm.parent(fsm) end
-  for _, at in ipairs(rfsm.machines(fsm)) do
-    for _, obj in ipairs(rfsm.elements(at.machine)) do
-      for _, value in order.each(rfsm.model_of(obj)) do -- any order: sets
-        local f = rfsm.is_callable(value) and not rfsm.is_fsmobj(value) and value
-        is_known = is_known and (not f or writes.is_known(f))
-        writes.each(f, function(text)
-          for word in text:gmatch(writes.ANY) do words[word] = true end
-          for word in text:gmatch("%.%s*(" .. writes.ANY .. ")") do
-            fields[word] = true
-          end
-        end, seen)
-      end
+  for _, obj in location.each(fsm) do
+    for _, value in order.each(rfsm.model_of(obj)) do -- any order: sets
+      local f = rfsm.is_callable(value) and not rfsm.is_fsmobj(value) and value
+      is_known = is_known and (not f or writes.is_known(f))
+      writes.each(f, function(text)
+        for word in text:gmatch(writes.ANY) do words[word] = true end
+        for word in text:gmatch("%.%s*(" .. writes.ANY .. ")") do
+          fields[word] = true
+        end
+      end, seen)
     end
   end
   return words, fields, is_known

@@ -57,12 +57,6 @@ local function other_key(fleet, key)
   return whole ~= key and whole or nil
 end
 
--- Returns the event that a person has typed, such as e_paid{amount=12}.
-local function event_of(text)
-  local event, problem = typed.read(text)
-  return event or common.fail(problem)
-end
-
 -- Returns the number that a person has typed; nil if none was.
 local function number_of(text)
   return text and (rfsm.number_of(text)
@@ -71,7 +65,11 @@ end
 
 local ALL = 1000000 -- entries: the greatest number that is asked for
 
-local function dead_lines(fleet, _, limit)
+-- For each verb that is not for many a function that returns lines to print, and maybe
+-- a note. It gets the options and the arguments.
+local LINES = {}
+
+function LINES.dead(fleet, _, limit)
   local lines = {}
   for i, entry in ipairs(ask(fleet.dead, fleet, number_of(limit) or ALL)) do
     lines[i] = concat({ entry.tag, entry.id, entry.machine, entry.what, entry.data,
@@ -80,7 +78,7 @@ local function dead_lines(fleet, _, limit)
   return lines
 end
 
-local function view_lines(fleet, _, key)
+function LINES.get(fleet, _, key)
   local view, lines = ask(fleet.get, fleet, key), {}
   for i, name in ipairs(rfsm.sorted_keys(view)) do
     local value = view[name]
@@ -99,7 +97,7 @@ local function list_of(f, fleet, key, count)
   return list
 end
 
-local function history_lines(fleet, _, key, count)
+function LINES.history(fleet, _, key, count)
   local lines = {}
   for i, move in ipairs(list_of(fleet.history, fleet, key, count)) do
     local by = move.from == "" and "(create):"
@@ -109,12 +107,12 @@ local function history_lines(fleet, _, key, count)
   return lines
 end
 
-local function cancel_lines(fleet, _, key, id)
+function LINES.cancel(fleet, _, key, id)
   ask(fleet.cancel, fleet, key, id)
   return { key .. " " .. id .. " (cancel)" }
 end
 
-local function log_lines(fleet, _, key, count)
+function LINES.log(fleet, _, key, count)
   local lines = {}
   for i, line in ipairs(list_of(fleet.log, fleet, key, count)) do
     lines[i] = rfsm.number_text(line.time, "%.3f") .. " " .. line.error
@@ -122,7 +120,7 @@ local function log_lines(fleet, _, key, count)
   return lines
 end
 
-local function version_lines(fleet)
+function LINES.versions(fleet)
   local lines = {}
   for i, version in ipairs(ask(fleet.versions, fleet)) do
     lines[i] = ("%s %s %s %d"):format(version.chart, version.known, version.version,
@@ -131,12 +129,12 @@ local function version_lines(fleet)
   return lines
 end
 
-local function why_lines(fleet, _, key, text)
-  return ask(fleet.why, fleet, key, event_of(text))
+function LINES.why(fleet, _, key, text)
+  return ask(fleet.why, fleet, key, common.try(typed.read(text)))
 end
 
-local function send_lines(fleet, options, key, text, id)
-  local event = event_of(text)
+function LINES.send(fleet, options, key, text, id)
+  local event = common.try(typed.read(text))
   return lines_of(ask(fleet.send_by, fleet, options.by, id, key, event), "send",
     other_key(fleet, key))
 end
@@ -147,13 +145,13 @@ end
 
 command.machines_text = machines_text
 
-local function reindex_lines(fleet)
+function LINES.reindex(fleet)
   return { machines_text(ask(fleet.reindex, fleet)) }
 end
 
 -- One machine as a file ------------------------------------------------------------
 
-local function pull_lines(fleet, _, key, file)
+function LINES.pull(fleet, _, key, file)
   local text = ask(fleet.pull, fleet, key)
   if not file then return { (text:gsub("\n$", "")) } end
   common.try(files.replace(file, text))
@@ -167,7 +165,7 @@ local function moved_lines(fleet, verb, key, ...)
     NOTES[verb] and key or other_key(fleet, key))
 end
 
-local function push_lines(fleet, options, key, file)
+function LINES.push(fleet, options, key, file)
   return moved_lines(fleet, "push", key, common.read(file), options.if_version,
     options.by)
 end
@@ -181,12 +179,12 @@ local function assignment_of(text)
   return field, value
 end
 
-local function set_lines(fleet, options, key, assignment)
+function LINES.set(fleet, options, key, assignment)
   local field, value = assignment_of(assignment)
   return moved_lines(fleet, "set", key, field, value, options.by, options.force)
 end
 
-local function create_lines(fleet, _, key, name, ...)
+function LINES.create(fleet, _, key, name, ...)
   local data = {}
   for _, text in ipairs { ... } do
     local field, value = assignment_of(text)
@@ -388,7 +386,7 @@ local function texts_of(found)
   return lines
 end
 
-local function list_lines(fleet, options)
+function LINES.list(fleet, options)
   local filter = options.where or {}
   local found = ask(find_machines, fleet, filter)
   return texts_of(found), machines_text(#found) .. (found[1] and counts_of(found)
@@ -427,7 +425,7 @@ local function limited(keys, limit)
 end
 
 -- Nothing is printed if nothing is found, so a misspelt name looks like good news.
-local function find_lines(fleet, _, name, state, limit, seconds)
+function LINES.find(fleet, _, name, state, limit, seconds)
   limit = number_of(limit)
   local keys = ask(fleet.find, fleet, name, state, limit, seconds)
   if keys[1] then return limited(keys, limit) end
@@ -435,28 +433,18 @@ local function find_lines(fleet, _, name, state, limit, seconds)
     seconds and " for so long" or "", hint_for(fleet, name, state))
 end
 
-local function due_lines(fleet, _, limit, time)
+function LINES.due(fleet, _, limit, time)
   limit = number_of(limit)
   return limited(ask(fleet.due, fleet, limit, time and time_of(time)), limit)
 end
 
-local function chart_lines(fleet)
+function LINES.charts(fleet)
   local charts, lines = ask(fleet.charts, fleet), {}
   for _, name in ipairs(rfsm.sorted_keys(charts)) do
     for _, path in ipairs(charts[name]) do lines[#lines + 1] = name .. " " .. path end
   end
   return lines
 end
-
--- For each verb that is not for many a function that returns lines to print, and maybe
--- a note. It gets the options and the arguments.
-local LINES = {
-  cancel = cancel_lines, charts = chart_lines, create = create_lines, dead = dead_lines,
-  due = due_lines, find = find_lines, get = view_lines, history = history_lines,
-  list = list_lines, log = log_lines, pull = pull_lines, push = push_lines,
-  reindex = reindex_lines, send = send_lines, set = set_lines,
-  versions = version_lines, why = why_lines,
-}
 
 -- Returns the verbs with their arguments, those with the same ones together, in as few
 -- lines as possible, so that the help fits a terminal.

@@ -252,18 +252,16 @@ end
 local function add_missing_extensions(findings, fsm, required, file)
   local requires_any = code.of(files.read(file) or "require"):find(
     "%f[%w_]require%f[^%w_]")
-  for _, entry in ipairs(rfsm.machines(fsm)) do
-    for _, tr in ipairs(rfsm.elements(entry.machine, rfsm.is_trans)) do
-      for _, event in ipairs(tr.events or {}) do
-        local module = match.maker_of(event) and advice.module_for(event)
-        if module and not required[module] then
-          local text = "the chart does not load the extension that knows '%s' "
-            .. "(require %q)"
-          local finding = findings:add("unknown-word", tr,
-            location.path(tr, entry.prefix), text:format(event:gsub("@root.*$", ""),
-            module), location.in_words(tr, entry.prefix))
-          if finding and not requires_any then finding.severity = "note" end
-        end
+  for entry, tr in location.each(fsm, rfsm.is_trans) do
+    for _, event in ipairs(tr.events or {}) do
+      local module = match.maker_of(event) and advice.module_for(event)
+      if module and not required[module] then
+        local text = "the chart does not load the extension that knows '%s' "
+          .. "(require %q)"
+        local finding = findings:add("unknown-word", tr,
+          location.path(tr, entry.prefix), text:format(event:gsub("@root.*$", ""),
+          module), location.in_words(tr, entry.prefix))
+        if finding and not requires_any then finding.severity = "note" end
       end
     end
   end

@@ -947,8 +947,7 @@ function explore.explore(model, options)
   if not rfsm.is_state(model) then
     error("rfsm_checks.explore: state expected, got " .. type(model), 2)
   end
-  local settings, problem = opts.read(KNOWN, options or {})
-  if not settings then error("rfsm_checks.explore: " .. problem, 2) end
+  local settings = opts.take("rfsm_checks.explore", KNOWN, options)
   return rfsm.find_module("rfsm.explore.verdict").of(model, settings)
 end
 

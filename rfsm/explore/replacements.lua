@@ -99,15 +99,13 @@ local FIELDS = { "entry", "exit", "doo", "guard", "effect" }
 -- Calls f(name, callback, fsm, element, field) for each callback of a machine and its
 -- regions. For a sequential AND state f gets the user's callbacks, not the extension's.
 local function each_callback(fsm, f)
-  for _, entry in ipairs(rfsm.machines(fsm)) do
-    for _, obj in ipairs(rfsm.elements(entry.machine)) do
-      local own = instrument.owner_of_callbacks(obj)
-      local path = location.path(obj, entry.prefix)
-      for _, field in ipairs(FIELDS) do
-        local name = field .. " " .. path
-        if rfsm.is_callable(own[field]) then
-          f(name, own[field], entry.machine, obj, field)
-        end
+  for entry, obj in location.each(fsm) do
+    local own = instrument.owner_of_callbacks(obj)
+    local path = location.path(obj, entry.prefix)
+    for _, field in ipairs(FIELDS) do
+      local name = field .. " " .. path
+      if rfsm.is_callable(own[field]) then
+        f(name, own[field], entry.machine, obj, field)
       end
     end
   end

@@ -36,13 +36,11 @@ end
 -- `is_meant(tr)` is true, named after the first of them; nil if there are none.
 local function at_transitions(fsm, is_meant)
   local point
-  for _, at in ipairs(rfsm.machines(fsm)) do
-    for _, tr in ipairs(rfsm.elements(at.machine, rfsm.is_trans)) do
-      if is_meant(tr) then
-        point = point or { kind = "transition", value = {}, name = location.path(tr.src,
-          at.prefix) .. " -> " .. location.path(tr.tgt, at.prefix) }
-        point.value[tr] = true
-      end
+  for at, tr in location.each(fsm, rfsm.is_trans) do
+    if is_meant(tr) then
+      point = point or { kind = "transition", value = {}, name = location.path(tr.src,
+        at.prefix) .. " -> " .. location.path(tr.tgt, at.prefix) }
+      point.value[tr] = true
     end
   end
   return point

@@ -49,11 +49,9 @@ end
 --- Return a list of the names of states and connectors, and a table of nodes by name.
 function names.nodes(fsm)
   local list, by_name = {}, {}
-  for _, at in ipairs(rfsm.machines(fsm)) do
-    for _, node in ipairs(rfsm.elements(at.machine, rfsm.is_nr_node)) do
-      local name = location.path(node, at.prefix)
-      list[#list + 1], by_name[name] = name, node
-    end
+  for at, node in location.each(fsm, rfsm.is_nr_node) do
+    local name = location.path(node, at.prefix)
+    list[#list + 1], by_name[name] = name, node
   end
   return list, by_name
 end

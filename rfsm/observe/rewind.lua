@@ -13,7 +13,7 @@ local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 
-local error, select, setmetatable, type = error, select, setmetatable, type
+local select, setmetatable, type = select, setmetatable, type
 local huge = math.huge
 local concat = table.concat
 
@@ -154,8 +154,7 @@ end
 ---@nodiscard
 function rewind.new(fsm, options)
   rfsm.check_machine(fsm, "rfsm.observe.rewind.new")
-  local settings, problem = opts.read(OPTIONS, options or {})
-  if not settings then error("rfsm.observe.rewind.new: " .. problem, 2) end
+  local settings = opts.take("rfsm.observe.rewind.new", OPTIONS, options)
   return setmetatable({ fsm = fsm, settings = settings, first = 0, at = 0, last = 0,
     size = 0 }, Rewind)
 end

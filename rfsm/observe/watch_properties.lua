@@ -90,10 +90,8 @@ end
 -- `snapshot()` returns a function like it, whose answers stay as they are at that call.
 local function views_of(fsm)
   local states = {}
-  for _, at in ipairs(rfsm.machines(fsm)) do
-    for _, state in ipairs(rfsm.elements(at.machine, rfsm.is_state)) do
-      states[location.path(state, at.prefix)] = state
-    end
+  for at, state in location.each(fsm, rfsm.is_state) do
+    states[location.path(state, at.prefix)] = state
   end
   return function(name)
     if not states[name] then
@@ -379,18 +377,16 @@ local function audible_of(own)
   local audible = { events = {}, made = {}, states = {}, transitions = {},
     active = own.active }
   add_events(audible, alphabet.of_all(own.fsm))
-  for _, at in ipairs(rfsm.machines(own.fsm)) do
-    for _, state in ipairs(rfsm.elements(at.machine, rfsm.is_state)) do
-      audible.states[#audible.states + 1] = location.path(state, at.prefix)
-      if rfsm.is_leaf(state) or rfsm.can_be_done(state) then
-        audible.made[#audible.made + 1] = "e_done@" .. state._fqn
-        own.done["e_done@" .. state._fqn] = true
-      end
+  for at, state in location.each(own.fsm, rfsm.is_state) do
+    audible.states[#audible.states + 1] = location.path(state, at.prefix)
+    if rfsm.is_leaf(state) or rfsm.can_be_done(state) then
+      audible.made[#audible.made + 1] = "e_done@" .. state._fqn
+      own.done["e_done@" .. state._fqn] = true
     end
-    for _, tr in ipairs(rfsm.elements(at.machine, rfsm.is_trans)) do
-      own.path_of[tr] = location.path(tr, at.prefix)
-      audible.transitions[#audible.transitions + 1] = own.path_of[tr]
-    end
+  end
+  for at, tr in location.each(own.fsm, rfsm.is_trans) do
+    own.path_of[tr] = location.path(tr, at.prefix)
+    audible.transitions[#audible.transitions + 1] = own.path_of[tr]
   end
   return audible
 end

@@ -197,12 +197,8 @@ end
 
 -- Does the machine react to time events, which must wake its component?
 local function has_timers(fsm)
-  return order.any(rfsm.machines(fsm), function(entry)
-    return order.any(rfsm.elements(entry.machine, rfsm.is_trans), function(tr)
-      return order.any(tr.events or {}, function(event)
-        return advice.module_for(event) == "rfsm_timeevent"
-      end)
-    end)
+  return order.any(alphabet.of_all(fsm).list, function(event)
+    return advice.module_for(event) == "rfsm_timeevent"
   end)
 end
 

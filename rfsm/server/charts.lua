@@ -9,6 +9,7 @@ local alphabet = require "rfsm.shared.alphabet"
 local calls = require "rfsm.shared.calls"
 local encoding = require "rfsm.snapshot.encoding"
 local exact_json = require "rfsm.shared.exact_json"
+local location = require "rfsm.shared.location"
 local migrate = require "rfsm.snapshot.migrate"
 local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
@@ -440,10 +441,8 @@ end
 -- that has it, as `rfsm.machines` lists it.
 local function leaves_of(fsm)
   local leaves = {}
-  for _, at in ipairs(rfsm.machines(fsm)) do
-    for _, leaf in ipairs(rfsm.elements(at.machine, rfsm.is_leaf)) do
-      leaves[at.prefix .. leaf._fqn:sub(5)] = { at = at, leaf = leaf }
-    end
+  for at, leaf in location.each(fsm, rfsm.is_leaf) do
+    leaves[location.path(leaf, at.prefix)] = { at = at, leaf = leaf }
   end
   return leaves
 end

@@ -12,6 +12,7 @@ local charts = require "rfsm.server.charts"
 local encoding = require "rfsm.snapshot.encoding"
 local exact_json = require "rfsm.shared.exact_json"
 local keys_of = require "rfsm.server.keys"
+local location = require "rfsm.shared.location"
 local migrate = require "rfsm.snapshot.migrate"
 local rfsm = require "rfsm"
 local sums = require "rfsm.shared.sums"
@@ -100,13 +101,10 @@ end
 -- Returns a table: the path of each kept field -> the path, its state and its name.
 local function kept_fields(fsm)
   local fields = {}
-  for _, at in ipairs(rfsm.machines(fsm)) do
-    for _, state in ipairs(rfsm.elements(at.machine, rfsm.is_state)) do
-      for _, name in ipairs(type(state.keep) == "table" and state.keep or {}) do
-        local path = at.prefix .. state._fqn:sub(5) .. "." .. rfsm.text_of(name)
-        fields[path] = { path = path, state = state, name = name,
-          prefix = at.prefix }
-      end
+  for at, state in location.each(fsm, rfsm.is_state) do
+    for _, name in ipairs(type(state.keep) == "table" and state.keep or {}) do
+      local path = location.path(state, at.prefix) .. "." .. rfsm.text_of(name)
+      fields[path] = { path = path, state = state, name = name, prefix = at.prefix }
     end
   end
   return fields

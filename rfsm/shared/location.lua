@@ -35,6 +35,22 @@ function location.path(obj, prefix)
   return prefix and prefix .. path:sub(5) or path
 end
 
+--- Traverse the elements of a machine and its regions. `for at, element in` has the
+--- entry of `rfsm.machines` for the machine of each element.
+---@param fsm rfsm.Machine
+---@param is_wanted? fun(element: table): boolean
+function location.each(fsm, is_wanted)
+  local places, number, list, i = rfsm.machines(fsm), 0, {}, 0
+  return function()
+    i = i + 1
+    while list[i] == nil and places[number + 1] do
+      number, i = number + 1, 1
+      list = rfsm.elements(places[number].machine, is_wanted)
+    end
+    return list[i] and places[number], list[i]
+  end
+end
+
 --- List the nodes from `fsm`, a machine or composite, down to a node inside it.
 function location.line(fsm, node)
   local line = { node }

@@ -92,6 +92,13 @@ function options.read(known, given)
   return settings
 end
 
+--- Return the options as `read` does. If one is wrong, raise an error that blames the
+-- caller of the function `where`, or with `level` a caller further out.
+function options.take(where, known, given, level)
+  local settings, problem = options.read(known, given or {})
+  return settings or error(where .. ": " .. problem, level or 3)
+end
+
 --- Raise an error that blames the caller of the function `where`, unless a value is the
 -- name of a file.
 function options.check_file(where, file)

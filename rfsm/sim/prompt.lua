@@ -10,6 +10,7 @@ local advice = require "rfsm.advice"
 local alphabet = require "rfsm.shared.alphabet"
 local calls = require "rfsm.shared.calls"
 local chart = require "rfsm.shared.chart"
+local location = require "rfsm.shared.location"
 local names = require "rfsm.observe.names"
 local terminal = require "rfsm.sim.terminal"
 local typed = require "rfsm.shared.typed"
@@ -205,13 +206,11 @@ end
 -- Lists the events of transitions from active states, and from connectors.
 local function events_now(fsm)
   local words = {}
-  for _, at in ipairs(rfsm.machines(fsm)) do
-    for _, tr in ipairs(rfsm.elements(at.machine, rfsm.is_trans)) do
-      local is_now = at.machine._act_leaf and tr.src._mode ~= "inactive"
-      for _, event in ipairs(is_now and tr.events or {}) do
-        local is_typed = type(event) == "string" and not event:find("@", 1, true)
-        if is_typed then words[#words + 1] = event end
-      end
+  for at, tr in location.each(fsm, rfsm.is_trans) do
+    local is_now = at.machine._act_leaf and tr.src._mode ~= "inactive"
+    for _, event in ipairs(is_now and tr.events or {}) do
+      local is_typed = type(event) == "string" and not event:find("@", 1, true)
+      if is_typed then words[#words + 1] = event end
     end
   end
   return words

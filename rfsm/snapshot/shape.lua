@@ -6,6 +6,7 @@
 
 local calls = require "rfsm.shared.calls"
 local encoding = require "rfsm.snapshot.encoding"
+local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
@@ -50,15 +51,14 @@ end
 --- Does a transition of a machine or its regions take an event, or does an extension
 -- wait for it? A state that defers it does not count.
 function shape.wants(fsm, event)
-  return order.any(rfsm.machines(fsm), function(at)
-    return order.any(rfsm.elements(at.machine), function(obj)
-      if rfsm.is_trans(obj) then
-        return match.begins_on_any(obj) or match.takes(obj.events or NONE, event)
-      end
-      return rfsm.is_state(obj) and not match.takes(deferred(obj), event)
-        and match.has(rfsm.reactions(at.machine, obj), event)
-    end)
-  end)
+  for at, obj in location.each(fsm) do
+    local is_wanted = rfsm.is_trans(obj)
+      and (match.begins_on_any(obj) or match.takes(obj.events or NONE, event))
+      or rfsm.is_state(obj) and not match.takes(deferred(obj), event)
+      and match.has(rfsm.reactions(at.machine, obj), event)
+    if is_wanted then return true end
+  end
+  return false
 end
 
 --- List the events that a state defers, as samples, except those that only a predicate

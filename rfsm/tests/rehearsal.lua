@@ -122,8 +122,7 @@ end
 -- are noted. `stub`, `machine`: as the options of `rfsm check` with these names
 ---@return rfsm_checks.Rehearsal
 function rehearsal.rehearsal(what, options)
-  local settings, problem = opts.read(KNOWN, options or {})
-  if not settings then error("rfsm_checks.rehearsal: " .. problem, 2) end
+  local settings = opts.take("rfsm_checks.rehearsal", KNOWN, options)
   local model = type(what) == "string" and load(what, settings) or what
   if not rfsm.is_state(model) then
     error("rfsm_checks.rehearsal: file or state expected, got " .. type(what), 2)

@@ -52,14 +52,10 @@ end
 
 -- Steps of the exploration ..........................................................
 
--- Can an event be written in a spec? It must be a plain value or have a name.
-local function is_writable(event)
-  return encoding.is_scalar(event) or rfsm.name_with_data(event) ~= nil
-end
-
--- Can an event of a step be written? It must not go to a region.
+-- Can an event of a step be written in a spec? It must be a plain value or have a name,
+-- and not go to a region.
 local function is_plain(occurrence)
-  return is_writable(occurrence.event) and not occurrence.part.owner
+  return encoding.is_event(occurrence.event) and not occurrence.part.owner
 end
 
 -- Lists the facts that the last step shows, as keys: "taken 3" for transition 3,
