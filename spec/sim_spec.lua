@@ -426,8 +426,8 @@ describe("at a terminal", function()
     end
   end)
 
-  if not has_tmux or not (pcall(require, "posix.signal") or pcall(require, "luv")) then
-    return pending("tmux, or both luaposix and luv, is missing")
+  if not has_tmux or not pcall(require, "luv") then
+    return pending("tmux or luv is missing")
   end
 
   it("Control-C drops a line, ends a run, and interrupts a doo, any time", function()
@@ -492,9 +492,9 @@ describe("at a terminal", function()
     assert.matches("1  state root.spin\n.*state root.idle %(done%)\n", at.screen())
   end)
 
-  it("goes without luaposix, luv and readline, and names the packages", function()
+  it("goes without luv and readline, and names the packages", function()
     local init = ""
-    for name in ("posix.signal luv readline"):gmatch("%S+") do
+    for _, name in ipairs { "luv", "readline" } do
       init = init .. without:format(name)
     end
     local at = open_terminal("-i -e step " .. HELLO, init)

@@ -1,5 +1,5 @@
--- The simulator's terminal with stand-ins for luaposix, luv, readline and the debug
--- hook: Control-C comes, and the hook is called, where a case wants it.
+-- The simulator's terminal with stand-ins for luv, readline and the debug hook:
+-- Control-C comes, and the hook is called, where a case wants it.
 
 local helper = require "spec.helper"
 
@@ -18,31 +18,8 @@ local function with_modules(modules, f)
   end)
 end
 
--- A luaposix of which `world.type_control_c` calls the handler. The program goes on as
--- soon as it is stopped.
-local function new_posix(world)
-  local handlers = {}
-  function world.type_control_c() handlers[2]() end
-  function world.type_control_z() handlers[20]() end
-  return {
-    ["posix.signal"] = { SIGINT = 2, SIGTSTP = 20, SIGSTOP = 19, SIGCONT = 18,
-      signal = function(number, handler)
-        world.note("signal " .. number)
-        handlers[number] = handler
-      end,
-      kill = function(process, number)
-        world.note(("kill %d, %d"):format(process, number))
-        handlers[18]()
-      end },
-    ["posix.unistd"] = { getpid = function() return 7 end },
-    ["posix.poll"] = { rpoll = function(descriptor, ms)
-      world.note(("poll %d, %d ms"):format(descriptor, ms))
-      return world.next_key() and 1 or 0
-    end },
-  }
-end
-
--- A luv that calls the handler when it is run.
+-- A luv that calls the handler when it is run. The program goes on as soon as it is
+-- stopped.
 local function new_luv(world)
   local is_key, handlers, typed = nil, {}, nil
   local signal, poll = {}, {}
@@ -54,7 +31,7 @@ local function new_luv(world)
   end
   function poll.start(_, kind, f) world.note("start " .. kind) is_key = f end
   function poll.stop() world.note("stop") is_key = nil end
-  return { luv = {
+  return {
     new_signal = function() return signal end,
     new_poll = function(descriptor) world.note("watch " .. descriptor) return poll end,
     run = function(mode)
@@ -69,7 +46,7 @@ local function new_luv(world)
       world.note(("kill %d, %s"):format(process, name))
       handlers.sigcont()
     end,
-  } }
+  }
 end
 
 -- A readline that gets the keys of `world`; Enter ends the line.
@@ -106,14 +83,8 @@ end
 
 -- The modules that `world` has; those missing are false.
 local function modules_of(world)
-  local modules = { ["posix.signal"] = false, ["posix.poll"] = false, luv = false,
-    ["posix.unistd"] = false,
+  return { luv = world.counts and new_luv(world) or false,
     readline = world.readline and new_readline(world) or false }
-  local counts = world.counts == "posix" and new_posix or world.counts and new_luv
-  for name, module in pairs(counts and counts(world) or {}) do -- any order: a set
-    modules[name] = module
-  end
-  return modules
 end
 
 -- Loads the terminal; `world` notes what it calls.
@@ -132,7 +103,7 @@ local function load_terminal(world)
   end)
 end
 
--- Loads the terminal anew, with what `world` has: `counts` (posix or luv), `readline`,
+-- Loads the terminal anew, with what `world` has: `counts` (luv), `readline`,
 -- `jit`, `home`, `keys`. Returns it with the world, which gets `trace` and `hook`.
 local function open(world)
   world.trace, world.in_key = {}, world.in_key or function() end
@@ -151,7 +122,7 @@ end
 
 -- A terminal that catches Control-C, and an empty trace.
 local function catching(world)
-  world.counts = world.counts or "posix"
+  world.counts = true
   local terminal = open(world)
   world.within(terminal.catch_interrupts)
   world.trace = {}
@@ -174,17 +145,14 @@ end
 
 describe("Control-C", function()
   for _, case in ipairs {
-    { counts = "posix",
-      expected = { "signal 2", "signal 20", "signal 18", "hook '' 10000" } },
-    { counts = "posix", jit = true,
-      expected = { "signal 2", "signal 20", "signal 18", "hook '' 10000",
-        "jit off" } },
-    { counts = "luv", expected = { "signal sigint", "signal sigtstp",
+    { counts = true, expected = { "signal sigint", "signal sigtstp",
       "signal sigcont", "hook '' 10000" } },
+    { counts = true, jit = true, expected = { "signal sigint", "signal sigtstp",
+      "signal sigcont", "hook '' 10000", "jit off" } },
     { expected = {} },
-    { counts = "posix", has_no_hooks = true, expected = {} },
+    { counts = true, has_no_hooks = true, expected = {} },
   } do
-    it(("is caught once by %s%s%s"):format(case.counts or "nothing",
+    it(("is caught once by %s%s%s"):format(case.counts and "luv" or "nothing",
       case.jit and ", with a JIT" or "", case.has_no_hooks and ", no hooks" or ""),
       function()
         local terminal, world = open(case)
@@ -195,15 +163,6 @@ describe("Control-C", function()
         assert.is_false(terminal.is_interrupted())
       end)
   end
-
-  it("sets the hook again on LuaJIT, which has one for all coroutines", function()
-    for _, has_jit in ipairs { true, false } do
-      local world = { jit = has_jit }
-      catching(world)
-      world.type_control_c()
-      assert.same(has_jit and { "hook '' 10000" } or {}, world.trace)
-    end
-  end)
 
   it("is noticed once, however often it was typed", function()
     local world = {}
@@ -233,7 +192,7 @@ describe("Control-C", function()
   end)
 
   it("does not end the code that looks for it", function()
-    local world, raised = { counts = "luv" }, {}
+    local world, raised = {}, {}
     catching(world)
     function world.in_run() raised[#raised + 1] = raised_in(world) end
     world.type_control_c()
@@ -266,20 +225,18 @@ describe("a terminal", function()
   end
 
   for _, case in ipairs {
-    { version = "Lua 5.4", advice = "for line editing and the Tab key, for more than "
-      .. "one Control-C (on Debian): apt-get install lua-readline lua-luv" },
-    { version = "Lua 5.1", readline = true, advice = "for more than one Control-C (on "
-      .. "Debian): apt-get install lua-posix" },
-    { version = "Lua 5.4", counts = "posix", advice = "for line editing and the Tab key"
-      .. " (on Debian): apt-get install lua-readline" },
-    { version = "Lua 5.1", counts = "posix", readline = true },
+    { advice = "for line editing and the Tab key, for more than one Control-C (on "
+      .. "Debian): apt-get install lua-readline lua-luv" },
+    { readline = true, advice = "for more than one Control-C (on Debian): apt-get "
+      .. "install lua-luv" },
+    { counts = true, advice = "for line editing and the Tab key (on Debian): apt-get "
+      .. "install lua-readline" },
+    { counts = true, readline = true },
   } do
     it("names missing packages: " .. (case.advice or "none"), function()
       local terminal, world = open(case)
       world.within(terminal.catch_interrupts)
-      assert.equal(case.advice, world.within(function()
-        return helper.with(_G, { _VERSION = case.version }, terminal.advice)
-      end))
+      assert.equal(case.advice, world.within(terminal.advice))
     end)
   end
 end)
@@ -332,7 +289,7 @@ describe("a line", function()
       result = { "x", true }, expected = { "write > ", "flush", "read" } },
     { does = "is asked for again after Control-Z", terminals = STDIN, line = "x",
       is_stopped = true, result = { "x", false }, expected = { "write > ", "flush",
-        "read", "kill 7, 19", "write > ", "flush", "read" } },
+        "read", "kill 7, sigstop", "write > ", "flush", "read" } },
     { does = "is the end of the input", terminals = STDIN,
       result = { nil, false }, expected = { "write > ", "flush", "read" } },
   } do
@@ -399,41 +356,29 @@ describe("a line of readline", function()
   after_each(helper.remove_files)
 
   for _, case in ipairs {
-    { does = "is read key by key, and kept", counts = "posix",
+    { does = "is read key by key, and kept", counts = true,
       keys = { "o", "nothing", "n", "Enter" }, result = { "on", false }, lines = "on\n",
-      expected = ("install > , %s, %s, %s, %s, remove, keep on"):gsub("%%s",
-        "poll 0, 1000 ms") },
-    { does = "is read key by key with luv", counts = "luv",
-      keys = { "o", "nothing", "Enter" }, result = { "o", false }, lines = "o\n",
       expected = "install > , watch 0, start r, stop, start r, stop, start r, stop, "
-        .. "remove, keep o" },
-    { does = "is no line after Control-C with luv", counts = "luv",
-      keys = { "o", "Control-C" }, result = { false, false }, lines = "",
-      expected = "install > , watch 0, start r, stop, start r, stop, print" },
-    { does = "is kept if there is no folder for it", counts = "posix",
+        .. "start r, stop, remove, keep on" },
+    { does = "is kept if there is no folder for it", counts = true,
       has_no_home = true, keys = { "o", "Enter" }, result = { "o", false }, lines = "",
-      expected = "install > , poll 0, 1000 ms, poll 0, 1000 ms, remove, keep o" },
+      expected = "install > , watch 0, start r, stop, start r, stop, remove, keep o" },
     { does = "begins anew after Control-Z, with the modes of the shell in between",
-      counts = "posix", keys = { "o", "Control-Z", "n", "Enter" },
+      counts = true, keys = { "o", "Control-Z", "n", "Enter" },
       result = { "n", false }, lines = "n\n",
-      expected = "install > , poll 0, 1000 ms, poll 0, 1000 ms, stty 500:5:bf "
-        .. "2>/dev/null, kill 7, 19, stty -icanon -echo 2>/dev/null, install > , "
-        .. "poll 0, 1000 ms, poll 0, 1000 ms, remove, keep n" },
-    { does = "begins anew after Control-Z with luv", counts = "luv",
-      keys = { "o", "Control-Z", "n", "Enter" }, result = { "n", false }, lines = "n\n",
       expected = "install > , watch 0, start r, stop, start r, stty 500:5:bf "
         .. "2>/dev/null, kill 7, sigstop, stop, stty -icanon -echo 2>/dev/null, "
         .. "install > , start r, stop, start r, stop, remove, keep n" },
-    { does = "is not kept if it is blank", counts = "posix", keys = { " ", "Enter" },
+    { does = "is not kept if it is blank", counts = true, keys = { " ", "Enter" },
       result = { " ", false }, lines = "",
-      expected = "install > , poll 0, 1000 ms, poll 0, 1000 ms, remove" },
-    { does = "is the end of the input", counts = "posix", keys = { "Control-D" },
+      expected = "install > , watch 0, start r, stop, start r, stop, remove" },
+    { does = "is the end of the input", counts = true, keys = { "Control-D" },
       result = { nil, false }, lines = "",
-      expected = "install > , poll 0, 1000 ms, remove" },
-    { does = "is dropped by Control-C", counts = "posix", keys = { "o", "Control-C" },
+      expected = "install > , watch 0, start r, stop, remove" },
+    { does = "is dropped by Control-C", counts = true, keys = { "o", "Control-C" },
       result = { false, false }, lines = "",
-      expected = "install > , poll 0, 1000 ms, poll 0, 1000 ms, print" },
-    { does = "is read at once by a readline without keys", counts = "posix",
+      expected = "install > , watch 0, start r, stop, start r, stop, print" },
+    { does = "is read at once by a readline without keys", counts = true,
       has_no_keys = true, line = "on", result = { "on", false }, lines = "on\n",
       expected = "whole line > , keep on" },
     { does = "is read at once if Control-C is not caught", line = "on",
@@ -448,7 +393,7 @@ describe("a line of readline", function()
   end
 
   it("is not left by an error of the hook, also while a key is read", function()
-    local raised, world = nil, { counts = "posix", keys = { "o", "Enter" } }
+    local raised, world = nil, { counts = true, keys = { "o", "Enter" } }
     function world.in_key()
       if world.key ~= "o" then return end
       world.type_control_c()
@@ -461,7 +406,7 @@ describe("a line of readline", function()
   end)
 
   it("is not left while it waits for a key", function()
-    local raised, world = {}, { counts = "posix", readline = true,
+    local raised, world = {}, { counts = true, readline = true,
       keys = { "o", "Control-C" } }
     local terminal = catching(world)
     local next_key = world.next_key

@@ -24,14 +24,11 @@ has_module() { # has_module LUA MODULE
 }
 
 # The tool starts if there are a Lua and argparse. With readline it edits lines, with
-# luaposix, or luv where a Lua has none, Control-C works any number of times, with dkjson
-# it records: they are wanted for the Lua that is there.
+# luv Control-C works any number of times, with dkjson it records: they are wanted for
+# the Lua that is there.
 missing_for_sim() {
-  code='for _, m in ipairs { "argparse", "readline", "dkjson" } do
+  code='for _, m in ipairs { "argparse", "readline", "luv", "dkjson" } do
     if not pcall(require, m) then print("lua-" .. m) end
-  end
-  if not (pcall(require, "posix.signal") or pcall(require, "luv")) then
-    print(_VERSION == "Lua 5.4" and "lua-luv" or "lua-posix")
   end'
   for module in readline argparse _G; do # as tools/rfsm
     for lua in ${LUA:-lua5.5 lua5.4 lua5.3 lua luajit lua5.2 lua5.1}; do

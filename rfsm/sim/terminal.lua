@@ -2,13 +2,12 @@
 --
 -- A reader is a function that takes a prompt and returns a line, typed or piped in; nil
 -- at the end of the input; false if Control-C dropped the line. Without lua-readline a
--- line cannot be edited. If neither luaposix nor luv is there, a second Control-C ends
--- the program.
+-- line cannot be edited, and without luv a second Control-C ends the program.
 --
 -- @module rfsm.sim.terminal
 -- @license BSD-3-Clause
 
-local coroutine, error, io, os = coroutine, error, io, os
+local error, io, os = error, io, os
 local pcall, print, rawget, require = pcall, print, rawget, require
 local tostring = tostring
 local concat = table.concat
@@ -26,94 +25,46 @@ end
 
 -- Control-C, any number of times --------------------------------------------------
 --
--- The interpreter alone survives only the first Control-C. So luaposix (or luv) counts
--- each Control-C, and a debug hook raises an error for it, also in a doo.
+-- The interpreter alone survives only the first Control-C. So luv counts each one, and
+-- a debug hook raises an error for it, also in a doo.
 
 local PERIOD = 10000 -- VM instructions between two checks for Control-C
-local counter -- a table made with luaposix or luv; nil until interrupts are caught
+local uv -- the module luv; nil until interrupts are caught
+local keys = nil -- tells of keys; made when a line is read
 local count, seen = 0, 0 -- how many Control-Cs were typed, and how many were noticed
 local is_busy = false -- true while C code calls Lua: the hook must not raise an error
 local is_resumed = false -- true if the program goes on after Control-Z
 local modes = false -- how the shell wants the terminal, while a line is read by keys
 
---- A counter of Control-C, made with luaposix or luv.
----@class rfsm.sim.Counter
----@field look fun() runs the handler of a signal that has come
----@field wait fun(): boolean waits for a key or a signal; returns whether a key came
-
-local poll
-
--- Stops the program for Control-Z, by `halt`. Shells such as dash do not set up the
--- terminal themselves, so it gets the modes in which the shell left it.
-local function stop(halt)
+-- Stops the program for Control-Z. Shells such as dash do not set up the terminal
+-- themselves, so it gets the modes in which the shell left it.
+local function stop()
   if modes then os.execute("stty " .. modes .. " 2>/dev/null") end
-  halt()
+  uv.kill(uv.os_getpid(), "sigstop")
 end
 
-local function go_on() is_resumed = true end
-
--- luaposix calls the handler from a debug hook of the coroutine that has loaded
--- luaposix. So a coroutine only for this purpose loads it, and `look` resumes the
--- coroutine. LuaJIT has one debug hook for all coroutines: luaposix replaces our hook,
--- and the handler sets it again.
-local function posix_counter()
-  local listener = coroutine.create(function()
-    local signal, unistd = require "posix.signal", require "posix.unistd"
-    local function catch(number, handler)
-      signal.signal(number, function()
-        handler()
-        if jit then sethook(poll, "", PERIOD) end
-      end)
-    end
-    catch(signal.SIGINT, function() count = count + 1 end)
-    catch(signal.SIGTSTP, function()
-      stop(function() signal.kill(unistd.getpid(), signal.SIGSTOP) end)
-    end)
-    catch(signal.SIGCONT, go_on)
-    while true do coroutine.yield() end
-  end)
-  if not coroutine.resume(listener) then return nil end
-  local rpoll = require("posix.poll").rpoll
-  return {
-    look = function() coroutine.resume(listener) end,
-    wait = function() return rpoll(0, 1000) == 1 end,
-  }
-end
-
-local function luv_counter()
-  local ok, uv = pcall(require, "luv")
-  if not ok then return nil end
-  uv.new_signal():start("sigint", function() count = count + 1 end)
-  uv.new_signal():start("sigtstp", function()
-    stop(function() uv.kill(uv.os_getpid(), "sigstop") end)
-  end)
-  uv.new_signal():start("sigcont", go_on)
-  local keys = nil
-  return {
-    look = function() uv.run("nowait") end,
-    wait = function()
-      local is_ready = false
-      keys = keys or uv.new_poll(0)
-      keys:start("r", function() is_ready = true end)
-      uv.run("once")
-      keys:stop()
-      return is_ready
-    end,
-  }
+-- Waits for a key or a signal; returns whether a key came.
+local function wait()
+  local has_key = false
+  keys = keys or uv.new_poll(0)
+  keys:start("r", function() has_key = true end)
+  uv.run("once")
+  keys:stop()
+  return has_key
 end
 
 --- Has Control-C been typed since the last call of this function?
 function terminal.is_interrupted()
   local was_busy = is_busy
   is_busy = true
-  if counter then counter.look() end
+  if uv then uv.run("nowait") end
   is_busy = was_busy
   local is_new = count > seen
   seen = count
   return is_new
 end
 
-function poll()
+local function poll()
   if is_busy or not terminal.is_interrupted() then return end
   print() -- ends the line in which the terminal has shown ^C
   error("interrupted!", 2) -- the core knows an interrupt by this text
@@ -121,20 +72,23 @@ end
 
 --- Have each Control-C raise an error in the code that runs then.
 function terminal.catch_interrupts()
-  if counter or not sethook then return end
-  counter = posix_counter() or luv_counter()
-  if not counter then return end
+  local is_there, module = pcall(require, "luv")
+  if uv or not (sethook and is_there) then return end
+  uv = module
+  uv.new_signal():start("sigint", function() count = count + 1 end)
+  uv.new_signal():start("sigtstp", stop)
+  uv.new_signal():start("sigcont", function() is_resumed = true end)
   sethook(poll, "", PERIOD)
   if jit then jit.off() end -- compiled code calls no hook
 end
 
 --- Set the debug hook again, because other code may have replaced it.
 function terminal.settle()
-  if counter then sethook(poll, "", PERIOD) end
+  if uv then sethook(poll, "", PERIOD) end
 end
 
 --- Is Control-C caught?
-function terminal.is_caught() return counter ~= nil end
+function terminal.is_caught() return uv ~= nil end
 
 --- Wrap a callback so that Control-C ends it also in a coroutine that has no hook.
 function terminal.interruptible(callback)
@@ -179,7 +133,7 @@ local function read_keys(readline, prompt)
   install()
   is_busy = true -- up to the end of `terminal.read`
   while not is_done do
-    local has_key = counter.wait()
+    local has_key = wait()
     if terminal.is_interrupted() then -- a later key belongs to the next line
       print()
       return false
@@ -217,7 +171,7 @@ local function readline_reader(complete)
   end)
   return function(prompt)
     local line
-    if counter and readline.handler_install then
+    if uv and readline.handler_install then
       line = read_keys(readline, prompt)
     else
       line = readline.readline(prompt)
@@ -265,8 +219,8 @@ function terminal.advice()
   if not pcall(require, "readline") then
     packages[1], gains[1] = "lua-readline", "line editing and the Tab key"
   end
-  if not counter then
-    packages[#packages + 1] = _VERSION == "Lua 5.4" and "lua-luv" or "lua-posix"
+  if not uv then
+    packages[#packages + 1] = "lua-luv"
     gains[#gains + 1] = "more than one Control-C"
   end
   if not packages[1] then return nil end
