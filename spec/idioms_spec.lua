@@ -124,7 +124,7 @@ describe("a walk over a live machine", function()
   end)
 
   it("goes over mapfsm in a plain table, too", function()
-    local t = { b = state { x = state {} }, trans {}, a = state {}, n = 3 }
+    local t = { b = state { x = state {} }, trans {}, a = state {}, n = 3, l = { 1 } }
     assert.same({ 1, "a", "b", "x" }, rfsm.mapfsm(name_of, t))
     assert.same({ "a", "b", "x" }, rfsm.mapfsm(name_of, t, rfsm.is_state))
   end)

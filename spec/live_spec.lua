@@ -193,6 +193,17 @@ describe("a step hook", function()
     assert.same({ "first", "own" }, order)
   end)
 
+  it("added before others is the first, also when a later one is gone", function()
+    local fsm, order = started(), {}
+    local later = noting(order, "later")
+    fsm.pre_step_hook = noting(order, "own")
+    rfsm.pre_step_hook_add(fsm, later)
+    rfsm.pre_step_hook_rm(fsm, later)
+    rfsm.pre_step_hook_add(fsm, noting(order, "first"), "before")
+    rfsm.step(fsm)
+    assert.same({ "first", "own" }, order)
+  end)
+
   it("sees the events and may change them", function()
     local fsm = started()
     rfsm.pre_step_hook_add(fsm, function(_, events) events[1] = "e" end)

@@ -133,6 +133,19 @@ describe("an extension that counts an event and makes another", function()
       { (rfsm.reactions(fsm, fsm.wait)), (rfsm.reactions(fsm, fsm.open)) })
   end)
 
+  it("is shown with its word, if it has events", function()
+    local fsm = new_machine()
+    local function add(events, word)
+      rfsm.reaction_hook_add(fsm, function() return events, word end)
+    end
+    add({ "e_a" }, "keep")
+    add(nil, "defer")
+    add({ "e_b" }, "count")
+    local _, shown = rfsm.reactions(fsm, fsm.wait)
+    assert.same({ { events = { "e_a" }, word = "keep" },
+      { events = { "e_b" }, word = "count" } }, shown)
+  end)
+
   it("may react to what a predicate accepts", function()
     local fsm = new_machine()
     local function is_five(event) return event == 5 end

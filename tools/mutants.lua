@@ -18,7 +18,7 @@ local ROOMS = {
     "doo", "check", "cheatsheet", "idioms", "contract", "live", "machine", "mistakes",
     "robust", "extensions", "fast", "completion", "alloc", "scale", "interrupt",
     "failing_programs", "strict", "alone", "timeevent", "always", "named", "fates",
-    "locale", "folder", "oracle", "house" } },
+    "locale", "folder", "reactions", "first_hour", "oracle", "house" } },
   { name = "fast", files = { "rfsm/fast.lua" },
     specs = { "transition", "fast", "completion", "live", "machine", "robust",
       "interrupt", "contract", "extensions", "alloc", "scale", "failing_programs",
