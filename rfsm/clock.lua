@@ -200,9 +200,8 @@ end
 --- Return a function that returns how many seconds have passed since this call.
 ---@return fun(): number
 function clock.from_now()
-  local nobody = { warn = false }
-  local start = clock.read(nobody, true)
-  return function() return clock.read(nobody, true) - start end
+  local start = clock.read({}, true)
+  return function() return clock.read({}, true) - start end
 end
 
 --- Return the seconds until the next timer of a machine can fire.

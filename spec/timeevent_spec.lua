@@ -1168,6 +1168,16 @@ describe("rfsm.clock", function()
     assert.equal(3.25, elapsed())
   end)
 
+  it("from now on, reports a clock that returns seconds in one number", function()
+    local printed = {}
+    local function write(_, text) printed[#printed + 1] = text end
+    helper.with(io, { stderr = { write = write } }, function()
+      clock_module.set_hook(function() return os.time() end)
+      clock_module.from_now()
+    end)
+    assert.matches("^WARNING: the clock returned one number", printed[1])
+  end)
+
   it("knows no timer without time events, nor with a clock that fails", function()
     local fsm = started(chart { "e_after(3)" })
     assert.is_true(clock_module.until_timer(fsm) > 3)
