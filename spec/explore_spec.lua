@@ -307,7 +307,7 @@ describe("the bound on seconds", function()
 
   it("ends a step that has many choices", function()
     local found = explored(with_many_choices(), { seconds = 20 })
-    assert.same({ 18 * 8, LATE, "seconds" }, found)
+    assert.same({ 19 * 8, LATE, "seconds" }, found)
   end)
 
   it("is not needed for a step with choices without end", function()
@@ -354,6 +354,7 @@ describe("the bound on seconds", function()
     local less, _, part = explored(model, { seconds = 8 })
     assert.same({ LATE, "seconds" }, { less[2], less[3] })
     assert.is_true(part.configurations < result.configurations)
+    assert.equal("stopped by seconds = 8: ", part.reach:match("^stop.-: "))
   end)
 
   it("leaves a dead end and what was not reached open", function()

@@ -27,10 +27,10 @@ local replacements = require "rfsm.explore.replacements"
 local timing = require "rfsm.explore.timing"
 local zones = require "rfsm.explore.zones"
 
-local assert, error, getmetatable = assert, error, getmetatable
-local ipairs, math, rawget = ipairs, math, rawget
+local error, getmetatable, ipairs = error, getmetatable, ipairs
+local math, rawget = math, rawget
 local setmetatable, tonumber, type = setmetatable, tonumber, type
-local concat, huge, max = table.concat, math.huge, math.max
+local concat, huge = table.concat, math.huge
 local os = rawget(_G, "os") or {}
 
 local explore = {}
@@ -90,8 +90,7 @@ local NOTHING = {}
 ---@field untried string[] texts that say what was not tried
 ---@field passed rfsm_checks.Passed[] states that steps enter and leave again
 ---@field count integer how many steps were run
----@field ends number the time of the clock at which the walk has to end
----@field is_late boolean that time is over, so no more steps are taken
+---@field is_late boolean the time of the options is over, so no more steps are taken
 ---@field wanted any[] events that properties look at
 ---@field monitors rfsm_checks.Judged[] the properties whose monitors see each step
 ---@field has_ended boolean nothing is looked for any more
@@ -366,7 +365,7 @@ local function after_choice(walk, has_ended)
   walk.count = walk.count + 1
   local key = has_ended and key_after(walk, try, label)
   if key or not has_ended then try.f(walk, try, key, label) end
-  walk.is_late = walk.is_late or walk.count % EVERY == 0 and now() > walk.ends
+  walk.is_late = walk.is_late or walk.count % EVERY == 0 and now() > walk.options.ends
   return walk.is_late
 end
 
@@ -407,7 +406,7 @@ local function sets_of(walk, list, most)
       local set = at == 1 and list[i].alone or match.with(sets[at], list[i])
       sets[#sets + 1], last[#sets + 1] = set, is_one and 0 or i
     end
-    walk.is_late = at % EVERY == 0 and now() > walk.ends
+    walk.is_late = at % EVERY == 0 and now() > walk.options.ends
     at = at + 1
   end
   return sets
@@ -551,30 +550,14 @@ function Walk:steps_run() return self.count end
 local function find_bound(walk, options)
   local most = MANY_STEPS * options.configurations
   local bound = #walk.keys > options.configurations and "configurations"
-    or walk.depth >= options.depth and "depth" or now() > walk.ends and "seconds"
+    or walk.depth >= options.depth and "depth" or now() > options.ends and "seconds"
   if bound then return bound, BEHIND .. bound end
   if walk:steps_run() > most then return "choices", STEPS:format(most) end
-end
-
---- Set the time of the clock at which a walk has to end.
-function Walk:set_end(ends) self.ends = ends end
-
---- Return a function that sets `options.seconds` to the seconds that are left of them,
---- and returns the options: all explorations of a chart have one bound together.
----@param options table
----@return fun(): table
-function explore.one_bound(options)
-  local ends = now() + options.seconds
-  return function()
-    options.seconds = max(ends - now(), 0)
-    return options
-  end
 end
 
 --- Have a walk, or a product of machines, take all steps from each configuration.
 function explore.walk_all(walk, options)
   local at = 1
-  walk:set_end(now() + options.seconds)
   while walk.keys[at] and not walk.has_ended do
     if at > walk.level_end then
       walk.depth, walk.level_end = walk.depth + 1, #walk.keys
@@ -693,13 +676,17 @@ end
 
 --- Return the options of the given names; missing options get their defaults. If the
 --- value of an option is wrong or its name is not known, return nil and the problem.
+--- The field `ends` is the time of the clock at which the seconds are over, for all
+--- explorations with these options together.
 ---@param options table
 ---@param names string[]
 ---@param more? table<string, any[]> further options, described as in `KNOWN`
 function explore.settings(options, names, more)
   local known = more or {}
   for _, name in ipairs(names) do known[name] = KNOWN[name] end
-  return opts.read(known, options)
+  local settings, problem = opts.read(known, options)
+  if settings then settings.ends = now() + (settings.seconds or huge) end
+  return settings, problem
 end
 
 --- Make a walk over the configurations of a model. The walk has no configuration yet.
@@ -708,7 +695,11 @@ end
 ---@param way? rfsm_checks.Way the parts of the machine to explore; nil: all
 ---@return rfsm_checks.Walk walk
 function explore.new(model, options, way)
-  local settings = assert(opts.read(KNOWN, options))
+  local settings = { ends = options.ends or now() + (options.seconds or huge) }
+  for name, option in order.each(KNOWN) do -- any order: a copy
+    settings[name] = options[name]
+    if settings[name] == nil then settings[name] = option[3] end
+  end
   local own = subject.new(model, settings, way)
   local walk = setmetatable({ subject = own, model = model, options = settings,
     way = way or false, together = settings.together or 1,
@@ -717,7 +708,7 @@ function explore.new(model, options, way)
     first = {}, steps = {}, taken = {}, endless = nil,
     bound = nil, stuck = {}, has_moved = false,
     is_limited = false, count = 0, expanded = 0, wanted = {},
-    ends = huge, is_late = false,
+    is_late = false,
     monitors = {}, has_ended = false, contexts = {}, named = {}, zones = {}, wider = {},
     unsure = {}, ways = {}, cut = {}, timing = false }, Walk)
   for _, event in ipairs(rfsm.sorted_keys(own.flags_of_event)) do
@@ -948,6 +939,7 @@ function explore.explore(model, options)
     error("rfsm_checks.explore: state expected, got " .. type(model), 2)
   end
   local settings = opts.take("rfsm_checks.explore", KNOWN, options)
+  settings.ends = now() + settings.seconds
   return rfsm.find_module("rfsm.explore.verdict").of(model, settings)
 end
 

@@ -608,12 +608,11 @@ end
 
 -- Returns a function that returns the walk of a property, and the list of the walks for
 -- `ways` (sets of regions that a walk includes). Properties of one way share its walk,
--- which is made when it is first asked for. rest() returns the options with the seconds
--- that are left.
-local function walks_in(model, rest, ways, list)
+-- which is made when it is first asked for.
+local function walks_in(model, options, ways, list)
   local by_way, walks = {}, {}
   local function walk_of(way, own_walk)
-    return explore.walk(model, rest(), function(walk)
+    return explore.walk(model, options, function(walk)
       properties.watch(walk, list, own_walk)
     end, way)
   end
@@ -657,9 +656,9 @@ end
 
 -- Walks over a chart, and judges what needs no monitor. Returns a result with findings;
 -- nil if a region never becomes idle, which stops all: then one walk has to have all.
-local function judge_chart(model, rest, own, list, options)
+local function judge_chart(model, own, list, options)
   local ways = independence.ways(own, list, options)
-  local walk_for, walks = walks_in(model, rest, ways, list)
+  local walk_for, walks = walks_in(model, options, ways, list)
   local has_endless = any(walks, function(walk) return walk.endless end)
   local is_late = any(walks, function(walk) return walk.is_late end)
   if walks[2] and has_endless and not is_late then return nil end
@@ -691,8 +690,8 @@ local MANY_TIMES = 4 -- most configurations of a shared walk, by those of the ch
 -- Judges properties by monitors that share a walk. A property gets a walk of its own if
 -- the shared one was not finished or left out orders of deadlines, and if the clocks of
 -- other properties may be on the run that violates it.
-local function judge_together(list, model, rest, configurations)
-  local options, most = rest(), min(#list, MANY_TIMES) * configurations
+local function judge_together(list, model, options, configurations)
+  local most = min(#list, MANY_TIMES) * configurations
   local walk = walk_with(list, model, options, list[2] and most or huge)
   local is_exact = not walk.keys[walk.expanded + 1]
     and not (walk.timing and (walk.timing.is_cut or walk.timing.is_inexact))
@@ -712,17 +711,17 @@ end
 ---@param options rfsm_checks.Options
 ---@return rfsm_checks.Exploration
 function verdict.of(model, options)
-  local rest, own = explore.one_bound(options), subject.new(model, options)
+  local own = subject.new(model, options)
   local list = properties.list_for(own, properties_of(model, options))
-  local result = judge_chart(model, rest, own, list, options)
+  local result = judge_chart(model, own, list, options)
   if not result then
     options.multiply = true
-    return verdict.of(model, rest())
+    return verdict.of(model, options)
   end
   for _, group in ipairs(properties.groups(list)) do
-    judge_together(group, model, rest, result.configurations)
+    judge_together(group, model, options, result.configurations)
     for _, judged in ipairs(group) do
-      if not judged.verdict then judge_together({ judged }, model, rest, huge) end
+      if not judged.verdict then judge_together({ judged }, model, options, huge) end
     end
   end
   local findings = result.findings

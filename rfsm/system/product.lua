@@ -379,12 +379,6 @@ end
 
 -- What properties ask ...............................................................
 
---- Set the time of the clock at which the walks of all machines have to end.
-function Product:set_end(ends)
-  self.ends = ends
-  for _, member in ipairs(self.members) do member:set_end(ends) end
-end
-
 --- Return how many steps the machines have run.
 function Product:steps_run()
   local count = 0

@@ -246,10 +246,9 @@ end
 local MANY_ALONE = 1000 -- most configurations of a chart that is explored alone
 
 -- Explores a chart alone. Returns the set of the paths of states that are active then.
-local function reached_alone(member, model, settings, rest)
-  local bounds = rest()
-  local own = { timers = "free", seconds = bounds.seconds,
-    configurations = min(bounds.configurations, MANY_ALONE) }
+local function reached_alone(member, model, settings, options)
+  local own = { timers = "free", ends = options.ends,
+    configurations = min(options.configurations, MANY_ALONE) }
   for _, name in ipairs(report.OF_MACHINE) do own[name] = settings[name] end
   for event in order.each(own.alphabet and member.wired or {}) do -- any order: a set
     own.alphabet = match.with(own.alphabet, event)
@@ -259,13 +258,13 @@ local function reached_alone(member, model, settings, rest)
 end
 
 -- Finds states that are not active in the system, but in the chart alone.
-local function find_unreached(member, findings, model, settings, rest)
+local function find_unreached(member, findings, model, settings, options)
   local own, alone = member.subject, nil
   local active = verdict.active_in(own, member.passed)
   for _, path in ipairs(own.paths) do
     local above = path:match("^(.*)%.[^.]*$")
     if not active[path] and (not above or active[above]) then
-      alone = alone or reached_alone(member, model, settings, rest)
+      alone = alone or reached_alone(member, model, settings, options)
       if alone[path] then
         findings:add("unreachable", own.names[path], member.name .. ": " .. path,
           "active in no configuration of the system, though the chart alone reaches it")
@@ -318,8 +317,8 @@ local function add_premises(result, walk, settings)
   end
 end
 
-local function add_walk(result, walk, cell, settings, rest)
-  explore.walk_all(walk, rest())
+local function add_walk(result, walk, cell, settings, options)
+  explore.walk_all(walk, options)
   result.configurations = result.configurations + #walk.keys
   result.steps = result.steps + walk:steps_run()
   result.bound = result.bound or walk.bound
@@ -331,7 +330,7 @@ local function add_walk(result, walk, cell, settings, rest)
   for _, wire in ipairs(walk.wires) do find_in_wire(walk, wire, result.findings) end
   for _, member in ipairs(walk.wires[1] and not walk.bound and walk.members or {}) do
     find_unreached(member, result.findings, cell.models[member.name],
-      settings[member.name], rest)
+      settings[member.name], options)
   end
 end
 
@@ -344,15 +343,15 @@ local function judge(result, judged)
   end
 end
 
-local function read_settings(cell, given)
-  local settings = {}
+local function read_settings(cell, options)
+  local settings, given = {}, options.machines
   for _, name in ipairs(rfsm.sorted_keys(given)) do
     if not cell.models[name] then location.refuse_name(name, "machine", cell.names) end
   end
   for _, name in ipairs(cell.names) do
     local own, problem = explore.settings(given[name] or {}, report.OF_MACHINE)
     if not own then error(("machines.%s: %s"):format(name, problem), 0) end
-    settings[name] = own
+    settings[name], own.ends = own, options.ends
   end
   return settings
 end
@@ -360,7 +359,7 @@ end
 -- Returns the options of each machine, and the products of the groups of machines in a
 -- list and by group.
 local function new_walks(cell, group_of, options, overlap)
-  local settings, walks, by_group = read_settings(cell, options.machines), {}, {}
+  local settings, walks, by_group = read_settings(cell, options), {}, {}
   for _, name in ipairs(cell.names) do
     local group = group_of[name]
     if not by_group[group] then
@@ -376,7 +375,7 @@ local CROSSING = "moves cross: others move also between what a machine reads and
 local NOT_CROSSING = "moves do not cross: the first event that a machine emits is put "
   .. "in the move that reads, others one by one"
 
-local function explored(cell, options, rest, overlap)
+local function explored(cell, options, overlap)
   local list = properties.list_of(WHERE, options.properties)
   local group_of = groups_of(cell, list)
   local ok, settings, walks, by_group = pcall(new_walks, cell, group_of, options,
@@ -392,7 +391,7 @@ local function explored(cell, options, rest, overlap)
     watch(judged.walk, judged)
   end
   find_in_texts(cell, result)
-  for _, walk in ipairs(walks) do add_walk(result, walk, cell, settings, rest) end
+  for _, walk in ipairs(walks) do add_walk(result, walk, cell, settings, options) end
   for _, judged in ipairs(list) do judge(result, judged) end
   return result
 end
@@ -402,13 +401,12 @@ local MANY_CROSSING = 200000 -- most configurations, unless `overlap` is true
 -- Explores a system without moves that cross, and then with them. If the second walk
 -- comes to a bound, the first one counts, and its verdicts say so.
 local function explored_twice(cell, options)
-  local rest = explore.one_bound(options)
-  local first = explored(cell, options, rest, false)
+  local first = explored(cell, options, false)
   if options.overlap == false or first.bound then return first end
   if not options.overlap then
     options.configurations = min(options.configurations, MANY_CROSSING)
   end
-  local result = explored(cell, options, rest, true)
+  local result = explored(cell, options, true)
   if result.bound and options.overlap == nil then
     first.premises[3] = NOT_CROSSING .. "; not tried with moves that cross: "
       .. concat(result.untried, "; ")
