@@ -32,6 +32,7 @@ local observers = {}
 ---@field events any[] the events from outside, those with data by their names
 ---@field made any[] the events that the machine makes itself
 ---@field takes_any boolean a transition may take events that none names
+---@field flags table<string, any> names of flags
 ---@field states string[] paths of states
 ---@field transitions string[] paths of transitions
 ---@field active fun(name: string): boolean raises an error if no state or flag has the
@@ -128,6 +129,31 @@ local function add_leaves(self)
 end
 
 local OF_ELEMENTS = { entry = "states", exit = "states", taken = "transitions" }
+
+--- Return what an observer may hear from a machine, and ask of it.
+---@param events any[] events that the machine knows
+---@param done table<string, true> the events e_done@F that it can make
+---@param audible rfsm_checks.Audible gets its fields `events` and `made`
+---@return rfsm_checks.Audible audible
+function observers.hearing(events, done, audible)
+  audible.events, audible.made = {}, rfsm.sorted_keys(done)
+  for _, event in ipairs(events) do
+    local list = match.maker_among(event, done) and audible.made or audible.events
+    list[#list + 1] = rfsm.event_name(event) or rfsm.name_with_data(event) or event
+  end
+  return audible
+end
+
+--- Is a thing a condition, and not an event? A text is one if it is the path of a state
+--- or the name of a flag, or could be a path.
+---@param thing any
+---@param audible rfsm_checks.Audible
+---@return boolean
+function observers.is_condition(thing, audible)
+  if rfsm.event_name(thing) or rfsm.name_with_data(thing) then return false end
+  return type(thing) ~= "string" or audible.flags[thing] ~= nil
+    or (thing .. "."):find("^root%.") ~= nil
+end
 
 --- Return the kind and the path in a word about an element of the machine, such as
 --- "entry root.a"; nil for other words.
@@ -325,9 +351,8 @@ end
 -- @raise if the property, or its chart, names what the machine does not have
 ---@param property rfsm_checks.Property
 ---@param audible rfsm_checks.Audible
----@param is_condition fun(thing: any): boolean is it a condition? Otherwise an event
 ---@return rfsm_checks.Observer?
-function observers.of(property, audible, is_condition)
+function observers.of(property, audible)
   if property.chart then return observers.new(property.chart, audible) end
   local pattern = patterns[property.kind]
   if not pattern then return nil end
@@ -336,13 +361,14 @@ function observers.of(property, audible, is_condition)
   end
   for _, field in ipairs(THINGS) do
     local thing = property[field]
-    local problem = thing ~= nil and not is_condition(thing)
+    local problem = thing ~= nil and not observers.is_condition(thing, audible)
       and observers.problem_of(word_of(thing), audible)
     if problem then error(problem, 0) end
   end
   return observers.new(pattern(property, function(thing)
-    if is_condition(thing) then return { events = IN_STEP, when = thing } end
-    return { events = { word_of(thing) } }
+    local is_condition = observers.is_condition(thing, audible)
+    return { events = is_condition and IN_STEP or { word_of(thing) },
+      when = is_condition and thing or nil }
   end), audible)
 end
 

@@ -520,15 +520,14 @@ end
 --- Raise an error if a condition names a state or flag that does not exist.
 ---@param where string name of the function that was called
 ---@param judged rfsm_checks.Judged
----@param active fun(name: string): boolean
----@param is_condition? fun(thing: any): boolean
-function properties.check_names(where, judged, active, is_condition)
+---@param audible rfsm_checks.Audible
+function properties.check_names(where, judged, audible)
   local property, events = judged.property, EVENTS_OF[judged.property.kind] or NONE
   for _, field in ipairs { "what", "goal", "scope", "ending", "again" } do
     local condition = property[field]
-    local may_be_event = events[field] and is_condition
-    local is_asked = condition ~= nil and (not may_be_event or is_condition(condition))
-    if is_asked then check_condition(where, judged, condition, active) end
+    local is_asked = condition ~= nil
+      and (not events[field] or observers.is_condition(condition, audible))
+    if is_asked then check_condition(where, judged, condition, audible.active) end
   end
 end
 
@@ -634,16 +633,12 @@ local function want_event(walk, judged)
   if judged.property.goal then take_two(walk) end
 end
 
---- Make the observer of a property, if one judges it.
--- @raise if the property or its observer names what the machine does not have; the
--- error begins with the file of the observer, or the name of the property
----@param where string name of the function that was called
----@param judged rfsm_checks.Judged
----@param audible rfsm_checks.Audible
----@param is_condition fun(thing: any): boolean
-function properties.add_observer(where, judged, audible, is_condition)
+-- Makes the observer of a property, if one judges it. The error about a property or
+-- observer that names what the machine does not have begins with the file of the
+-- observer, or the name of the property.
+local function add_observer(where, judged, audible)
   local property = judged.property
-  local ok, observer = pcall(observers.of, property, audible, is_condition)
+  local ok, observer = pcall(observers.of, property, audible)
   local problem = not ok and observer
     or property.event ~= nil and observers.element_of(property.event)
     and observers.problem_of(property.event, audible) or nil
@@ -656,20 +651,31 @@ function properties.add_observer(where, judged, audible, is_condition)
   end
 end
 
+--- List properties with their observers, sorted by name.
+-- @raise if a property names a state, a flag or an event that does not exist
+---@param where string name of the function that was called
+---@param given table<any, rfsm_checks.Property>
+---@param audible rfsm_checks.Audible
+---@return rfsm_checks.Judged[]
+function properties.heard_in(where, given, audible)
+  local list = properties.list_of(where, given)
+  for _, judged in ipairs(list) do
+    properties.check_names(where, judged, audible)
+    add_observer(where, judged, audible)
+  end
+  return list
+end
+
 --- List the properties of an exploration.
 -- @raise if a property names a state, a flag or an event that does not exist
 ---@param own rfsm_checks.Subject
 ---@param given table<any, rfsm_checks.Property>
 ---@return rfsm_checks.Judged[] list sorted by name
 function properties.list_for(own, given)
-  local where = "rfsm_checks.explore"
-  local list = properties.list_of(where, given)
-  local audible = own:audible()
-  local function is_condition(thing) return own:is_condition(thing) end
+  local where, audible = "rfsm_checks.explore", own:audible()
+  local list = properties.heard_in(where, given, audible)
   for _, judged in ipairs(list) do
-    properties.check_names(where, judged, audible.active, is_condition)
     check_examples(own, where, judged)
-    properties.add_observer(where, judged, audible, is_condition)
     add_event(own, judged, audible)
   end
   return list

@@ -720,27 +720,14 @@ end
 --- Return what an observer may hear, and ask of the machine.
 ---@return rfsm_checks.Audible
 function Subject:audible()
-  local events, made, transitions = {}, rfsm.sorted_keys(self.done), {}
-  for _, list in ipairs { self.event_list, self.alphabet or NOTHING } do
-    for _, event in ipairs(list) do
-      local kind = self:maker_of(event) and made or events
-      kind[#kind + 1] = rfsm.name_with_data(event) or event
-    end
-  end
-  for i, entry in ipairs(self.transitions) do transitions[i] = entry.path end
   local is_open = self.free.predicates or order.any(self.transitions, function(entry)
     return match.begins_on_any(entry.tr)
   end)
-  return { events = events, made = made, states = self.paths, takes_any = is_open,
-    transitions = transitions, active = self:view(self:configuration((self:read()))) }
-end
-
---- Is a thing a condition, and not an event? A text is one if it is the path of a state
---- or the name of a flag, or could be a path.
-function Subject:is_condition(thing)
-  if rfsm.event_name(thing) or rfsm.name_with_data(thing) then return false end
-  return type(thing) ~= "string" or self.flag_numbers[thing] ~= nil
-    or (thing .. "."):find("^root%.") ~= nil
+  local events = match.joined(self.event_list, self.alphabet or NOTHING)
+  return observers.hearing(events, self.done, { states = self.paths,
+    transitions = order.map(self.transitions, function(entry) return entry.path end),
+    takes_any = is_open, flags = self.flag_numbers,
+    active = self:view(self:configuration((self:read()))) })
 end
 
 -- Steps ...........................................................................

@@ -15,6 +15,7 @@ local alphabet = require "rfsm.shared.alphabet"
 local clock = require "rfsm.clock"
 local match = require "rfsm.shared.match"
 local monitors = require "rfsm.explore.monitors"
+local observers = require "rfsm.explore.observers"
 local opts = require "rfsm.shared.options"
 local location = require "rfsm.shared.location"
 local properties = require "rfsm.explore.properties"
@@ -355,40 +356,25 @@ local function end_iteration(own, at, events)
   end
 end
 
--- Is a thing a condition, and not an event? A text is one if it could be a path.
-local function is_condition(thing)
-  if rfsm.event_name(thing) or rfsm.name_with_data(thing) then return false end
-  return type(thing) ~= "string" or (thing .. "."):find("^root%.") ~= nil
-end
-
-local function add_events(audible, known)
-  audible.takes_any = known.takes_any
-  local all = match.joined(match.joined(known.list, known.predicates), known.reactions)
-  for _, event in ipairs(all) do
-    local list = match.maker_of(event) and audible.made or audible.events
-    local name = rfsm.event_name(event) or rfsm.name_with_data(event)
-    list[#list + 1] = name or event
-    audible.takes_any = audible.takes_any or type(event) == "function" and not name
-  end
-end
+local function is_nameless(predicate) return not rfsm.event_name(predicate) end
 
 -- Returns what an observer may hear, and ask of the machine.
 local function audible_of(own)
-  local audible = { events = {}, made = {}, states = {}, transitions = {},
-    active = own.active }
-  add_events(audible, alphabet.of_all(own.fsm))
+  local known, states, transitions = alphabet.of_all(own.fsm), {}, {}
   for at, state in location.each(own.fsm, rfsm.is_state) do
-    audible.states[#audible.states + 1] = location.path(state, at.prefix)
+    states[#states + 1] = location.path(state, at.prefix)
     if rfsm.is_leaf(state) or rfsm.can_be_done(state) then
-      audible.made[#audible.made + 1] = "e_done@" .. state._fqn
       own.done["e_done@" .. state._fqn] = true
     end
   end
   for at, tr in location.each(own.fsm, rfsm.is_trans) do
     own.path_of[tr] = location.path(tr, at.prefix)
-    audible.transitions[#audible.transitions + 1] = own.path_of[tr]
+    transitions[#transitions + 1] = own.path_of[tr]
   end
-  return audible
+  local all = match.joined(match.joined(known.list, known.predicates), known.reactions)
+  return observers.hearing(all, own.done, { states = states, transitions = transitions,
+    takes_any = known.takes_any or order.any(known.predicates, is_nameless),
+    flags = NOTHING, active = own.active })
 end
 
 -- Warns if no transition names the event of a property: then it may never come.
@@ -402,10 +388,9 @@ end
 -- Returns a monitor for each of the given properties. An error names the function
 -- `where`.
 local function monitors_of(own, where, given)
-  local list, audible = properties.list_of(where, given), audible_of(own)
+  local audible = audible_of(own)
+  local list = properties.heard_in(where, given, audible)
   for _, monitor in ipairs(list) do
-    properties.check_names(where, monitor, own.active, is_condition)
-    properties.add_observer(where, monitor, audible, is_condition)
     warn_of_unnamed(own, where, monitor, audible)
     for _, word in ipairs(properties.words_of(monitor)) do own.hears[word] = true end
     monitor.state, monitor.clocks = "first", {}

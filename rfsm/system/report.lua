@@ -89,7 +89,7 @@ local function watch(walk, judged)
     properties.refuse(WHERE, judged, "it is not judged for a system, expected: never, "
       .. "always, from(...).can_reach or after(...).reach")
   end
-  properties.check_names(WHERE, judged, walk:view(walk:configuration(1)))
+  properties.check_names(WHERE, judged, { active = walk:view(walk:configuration(1)) })
   if judged.property.event then watch_event(walk, judged) end
 end
 
