@@ -8,6 +8,7 @@
 
 local rfsm = require "rfsm"
 local alphabet = require "rfsm.shared.alphabet"
+local order = require "rfsm.shared.order"
 
 local ipairs, rawget, type = ipairs, rawget, type
 
@@ -21,6 +22,14 @@ function bodies.walk(node, f)
 end
 
 local walk = bodies.walk
+
+--- Is test(node) true for a node, or for a node in it?
+function bodies.has(node, test)
+  return type(node) == "table" and (node.tag and test(node)
+    or order.any(node, function(child) return bodies.has(child, test) end))
+end
+
+local has = bodies.has
 
 --- Call f(node) for the nodes of a function, but not in inner functions.
 function bodies.each_node(func, f)
@@ -71,25 +80,17 @@ local MEANINGS = {
 
 local function is_name(node, name) return node.tag == "Id" and node[1] == name end
 
-local function is_used(func, name)
-  local found = false
-  walk(func[2], function(node) found = found or is_name(node, name) end)
-  return found
-end
-
 local DECLARES = { Local = true, Localrec = true, Set = true, Forin = true,
   Fornum = true, Function = true }
 
 -- Does the code of a function give another value to the name of a parameter?
 local function is_replaced(func, name)
-  local found = false
-  walk(func[2], function(node)
+  return has(func[2], function(node)
     local names = DECLARES[node.tag] and node[1] or {}
-    for _, target in ipairs(names.tag and { names } or names) do
-      found = found or is_name(target, name)
-    end
+    return order.any(names.tag and { names } or names, function(target)
+      return is_name(target, name)
+    end)
   end)
-  return found
 end
 
 -- Calls f(key, node) for each field that the code of a function reads from a parameter;
@@ -117,12 +118,11 @@ local function is_misread(func, name, expected)
   each_read(func, name, function(_, node)
     found = found or is_list or expected == "word" and node.tag == "Index"
   end)
-  walk(is_list and func[2], function(node)
+  return found or has(is_list and func[2], function(node)
     local is_compared = node.tag == "Op" and (node[1] == "eq" or node[1] == "ne")
-    found = found or is_compared and (is_name(node[2], name) and node[3].tag == "String"
+    return is_compared and (is_name(node[2], name) and node[3].tag == "String"
       or is_name(node[3], name) and node[2].tag == "String")
   end)
-  return found
 end
 
 -- Is the parameter at a position named for another value, or read as another one?
@@ -130,7 +130,8 @@ local function is_mistaken(func, name, expected)
   local meaning = MEANINGS[name]
   local is_other = meaning and meaning ~= expected
     and not (meaning == "event" and expected == "list of events")
-  return is_other and is_used(func, name) or is_misread(func, name, expected)
+  return is_other and has(func[2], function(node) return is_name(node, name) end)
+    or is_misread(func, name, expected)
 end
 
 -- Returns the first field that the code reads from its first parameter, and that the
@@ -187,9 +188,6 @@ end
 local NEVER_FALSE = { True = true, Number = true, String = true, Nil = true,
   Table = true, Function = true }
 
--- Returns the only statement of a function; nil if it has several.
-local function sole(func) return not func[2][2] and func[2][1] or nil end
-
 -- Finds a guard that never forbids its transition. An error in a guard forbids, too. A
 -- guard that only returns true is a placeholder, and is no mistake.
 local function check_guard(func, add)
@@ -201,7 +199,7 @@ local function check_guard(func, add)
     may_forbid = may_forbid or value and not NEVER_FALSE[value.tag]
       or name == "error" or name == "assert"
   end)
-  local only = sole(func)
+  local only = not func[2][2] and func[2][1]
   local is_placeholder = only and only.tag == "Return" and only[1]
     and only[1].tag == "True"
   if may_forbid or is_placeholder then return end
@@ -277,14 +275,8 @@ end
 
 -- Tables ..........................................................................
 
--- Returns the function that a field's value calls: "print" for { entry = print() }.
-local function called_in(pair)
-  local value = pair[2]
-  local name = value.tag == "Call" and bodies.called_name(value)
-  return name ~= "" and name or nil
-end
-
---- Note keys that occur twice in a table node, and callbacks whose value is a call.
+--- Note keys that occur twice in a table node, and callbacks whose value is a call:
+--- "print" for { entry = print() }.
 ---@param file { lost: table, called: table } lists of { name = key, ... } by line
 ---@param node table
 function bodies.note_table(file, node)
@@ -297,8 +289,9 @@ function bodies.note_table(file, node)
     local key = pair.tag == "Pair" and pair[1].tag == "String" and pair[1][1]
     if key and seen[key] then note(file.lost, { name = key, line = pair.line }) end
     if key then seen[key] = true end
-    local by = key and EXPECTED[key] and called_in(pair)
-    if by then note(file.called, { name = key, by = by }) end
+    local is_call = key and EXPECTED[key] and pair[2].tag == "Call"
+    local by = is_call and bodies.called_name(pair[2]) or ""
+    if by ~= "" then note(file.called, { name = key, by = by }) end
   end
 end
 

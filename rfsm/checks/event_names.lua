@@ -6,6 +6,7 @@
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local alphabet = require "rfsm.shared.alphabet"
+local instrument = require "rfsm.shared.instrument"
 local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
@@ -38,41 +39,35 @@ end
 
 -- Finds events e_done@F where F is no state that can be done. `rfsm.init` warns only if
 -- the event is written as e_done, without @F.
-local function check_e_done(tr, leaves, add)
-  for _, event in ipairs(tr.events or {}) do
-    local fqn = type(event) == "string" and event:match("^e_done@(.*)$")
-    local never_comes = fqn and not leaves[fqn]
-    if never_comes and fqn == tr.src._fqn and rfsm.is_state(tr.src) then
-      add("never-done", tr, ("event '%s' never comes, no leaf right in %s is final "
-        .. "(final = true)"):format(event, place_of_final(tr.src)))
-    elseif never_comes then
-      add("never-done", tr, ("event '%s' never comes, '%s' is no %s of this machine%s")
-        :format(event, fqn, fqn:find("^root") and "leaf state" or "FQN",
-        leaf_meant(fqn, leaves)))
-    end
+local function check_e_done(tr, event, leaves, add)
+  local fqn = type(event) == "string" and event:match("^e_done@(.*)$")
+  local never_comes = fqn and not leaves[fqn]
+  if never_comes and fqn == tr.src._fqn and rfsm.is_state(tr.src) then
+    add("never-done", tr, ("event '%s' never comes, no leaf right in %s is final "
+      .. "(final = true)"):format(event, place_of_final(tr.src)))
+  elseif never_comes then
+    add("never-done", tr, ("event '%s' never comes, '%s' is no %s of this machine%s")
+      :format(event, fqn, fqn:find("^root") and "leaf state" or "FQN",
+      leaf_meant(fqn, leaves)))
   end
 end
 
 -- e_fault where nothing fails ....................................................
 
-local CALLBACKS = { "entry", "exit", "doo", "guard", "effect" }
-
 -- Has a state, an element in it, or a transition from these a callback?
 local function has_callback(fsm, state)
   return order.any(rfsm.elements(fsm, rfsm.is_fsmobj), function(element)
     return location.is_inside(rfsm.is_trans(element) and element.src or element, state)
-      and order.any(CALLBACKS, function(field) return element[field] end)
+      and order.any(instrument.CALLBACKS, function(field) return element[field] end)
   end)
 end
 
 -- Finds events e_fault that never come, because there is no callback that could fail.
-local function check_e_fault(fsm, tr, add)
-  for _, event in ipairs(tr.events or {}) do
-    local name = rfsm.event_name(event)
-    if name == "e_fault@" .. tr.src._fqn and not has_callback(fsm, tr.src) then
-      add("idle-reaction", tr, ("'%s' never comes, '%s' has no callback"):format(name,
-        tr.src._fqn))
-    end
+local function check_e_fault(fsm, tr, event, add)
+  local name = rfsm.event_name(event)
+  if name == "e_fault@" .. tr.src._fqn and not has_callback(fsm, tr.src) then
+    add("idle-reaction", tr, ("'%s' never comes, '%s' has no callback"):format(name,
+      tr.src._fqn))
   end
 end
 
@@ -154,12 +149,10 @@ local function unknown_word(event)
   return is_known and advice.event(nil, name:match("^[%w_]+")) or ""
 end
 
-local function check_odd_events(tr, add)
-  for _, event in ipairs(tr.events or {}) do
-    local text, unknown = oddness_of(event), unknown_word(event)
-    if text then add("odd-event", tr, text) end
-    if unknown ~= "" then add("unknown-word", tr, unknown) end
-  end
+local function check_odd_event(tr, event, add)
+  local text, unknown = oddness_of(event), unknown_word(event)
+  if text then add("odd-event", tr, text) end
+  if unknown ~= "" then add("unknown-word", tr, unknown) end
 end
 
 -- Misspelt events ................................................................
@@ -321,9 +314,11 @@ function event_names.check(fsm, add)
     leaves[state._fqn], leaves[#leaves + 1] = true, state._fqn
   end
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
-    check_e_done(tr, leaves, add)
-    check_e_fault(fsm, tr, add)
-    check_odd_events(tr, add)
+    for _, event in ipairs(tr.events or {}) do
+      check_e_done(tr, event, leaves, add)
+      check_e_fault(fsm, tr, event, add)
+      check_odd_event(tr, event, add)
+    end
   end
   check_typos(fsm, add)
   check_reactions(fsm, add)

@@ -34,12 +34,6 @@ end
 local ANY = {} -- stands for any event
 local NONE = {} -- stands for no event, which `always = true` needs
 
--- Lists the events of a transition, or what stands for them.
-local function events_of(tr)
-  if tr.always == true then return { NONE } end
-  return match.is_any(tr) and { ANY } or tr.events
-end
-
 -- Does the event trigger `tr` for certain? If a predicate decides, the answer is no.
 -- What needs no event is taken before any event comes.
 local function is_enabled_by(tr, event)
@@ -69,7 +63,8 @@ end
 local function find_shadows(fsm, tr)
   local list, is_listed = {}, {}
   local tried = is_conn(tr.src) and tr.src._otrs or location.transitions(fsm, tr.src)
-  for _, event in ipairs(events_of(tr)) do
+  local events = tr.always == true and { NONE } or match.is_any(tr) and { ANY }
+  for _, event in ipairs(events or tr.events) do
     local shadow = find_shadow(tried, tr, event)
     if not shadow then return nil end
     if not is_listed[shadow] then list[#list + 1] = shadow end

@@ -10,6 +10,7 @@ local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local read = require("rfsm.shared.files").read
 local bodies = require "rfsm.checks.bodies"
+local instrument = require "rfsm.shared.instrument"
 local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
 local order = require "rfsm.shared.order"
@@ -115,13 +116,6 @@ local function check_globals(file, info, add)
   end
 end
 
--- Does a node call a global function, or a function in a global table or in `rfsm`?
--- The caller has handled names with "yield" before, so the function does not yield.
-local function is_plain_call(node)
-  local name, library = called_name(node)
-  return library == "rfsm" or rawget(_G, library or name) ~= nil
-end
-
 -- Tag of a node in a loop of a doo -> what it may do: leave the loop, or yield true
 -- ("idles").
 local EFFECTS = {
@@ -129,10 +123,12 @@ local EFFECTS = {
 }
 
 -- Returns "yields" if a call yields nil or false, "idles" if it may yield a true value,
--- nil if it does not yield.
+-- nil if it does not yield: a global function, or one in a global table or in `rfsm`.
 local function effect_of_call(node)
-  if not called_name(node):find("yield") then
-    return not is_plain_call(node) and "idles" or nil
+  local name, library = called_name(node)
+  if not name:find("yield") then
+    local is_plain = library == "rfsm" or rawget(_G, library or name) ~= nil
+    return not is_plain and "idles" or nil
   end
   local tag = node[2] and node[2].tag or "Nil"
   return tag ~= "Nil" and tag ~= "False" and "idles" or "yields"
@@ -143,12 +139,10 @@ end
 local function is_endless(node, condition)
   if node.tag ~= "While" and node.tag ~= "Repeat" then return false end
   if condition.tag == (node.tag == "While" and "True" or "False") then return true end
-  local changes = false
-  walk({ node[1], node[2] }, function(inner)
-    changes = changes or EFFECTS[inner.tag] ~= nil or inner.tag == "Call"
-      or inner.tag == "Set" or inner.tag == "Index"
+  return not bodies.has({ node[1], node[2] }, function(inner)
+    return EFFECTS[inner.tag] or inner.tag == "Call" or inner.tag == "Set"
+      or inner.tag == "Index"
   end)
-  return not changes
 end
 
 -- Notes in `seen` what a loop without an end does.
@@ -183,8 +177,6 @@ local function check_doo(func, state, add)
     add("doo-ends", "the doo ends, and no transition waits for e_done")
   end
 end
-
-local FIELDS = { "entry", "exit", "doo", "guard", "effect" }
 
 -- Returns the node of a function, its file, and where it is defined in it.
 local function find_function(files, callback)
@@ -233,10 +225,6 @@ local function places_of(fsm)
   return places
 end
 
-local function has_field(objects, field)
-  return order.any(objects, function(obj) return rfsm.model_of(obj)[field] ~= nil end)
-end
-
 -- Returns a text about a call in place of a callback (`entry = f()`), and the cure.
 local function text_of_call(call)
   local body = (call.name == "guard" and "return " or "") .. call.by .. "(...)"
@@ -254,9 +242,10 @@ local function check_tables(files, fsm, add)
         .. "in line %d)"):format(lost.name, lost.line))
     end
     for _, call in ipairs(file and file.called[place.line] or {}) do
-      if not has_field(place, call.name) then
-        add("called", place[1], text_of_call(call))
-      end
+      local is_given = order.any(place, function(obj)
+        return rfsm.model_of(obj)[call.name] ~= nil
+      end)
+      if not is_given then add("called", place[1], text_of_call(call)) end
     end
   end
 end
@@ -271,7 +260,8 @@ function source.check(fsm, add)
   end })
   check_tables(files, fsm, add)
   for _, obj in ipairs(rfsm.elements(fsm)) do
-    for _, field in ipairs(select(2, rfsm.regions(obj)) and {} or FIELDS) do
+    for _, field in ipairs(select(2, rfsm.regions(obj)) and {}
+      or instrument.CALLBACKS) do
       check_callback(files, fsm, obj, field, add)
     end
   end

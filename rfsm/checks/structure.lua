@@ -98,13 +98,6 @@ local function check_node(fsm, node, reached, add)
   end
 end
 
--- Returns the source text of a callback; "" if it cannot be read.
-local function text_of_body(callback)
-  local texts = {}
-  writes.each(callback, function(text) texts[#texts + 1] = text end, {})
-  return concat(texts, " ")
-end
-
 -- Does a transition wait for an event that the machine sends to itself?
 local function waits_for_own(tr)
   for _, event in ipairs(tr.events or {}) do
@@ -124,10 +117,7 @@ local function needs_steps(region)
       if needs_steps(inner) then return true end
     end
     for _, field in ipairs { "entry", "exit", "doo", "effect" } do
-      local callback = rawget(obj, field)
-      if callback and text_of_body(callback):find("send_events", 1, true) then
-        return true
-      end
+      if writes.may_call(rawget(obj, field), rfsm, "send_events") then return true end
     end
   end
   return false
@@ -287,13 +277,13 @@ local function check_foreign(state, add)
   end
 end
 
+local LASTING = { "while", "repeat", "for", "goto", "yield", "send_events" }
+
 -- Does a callback end at once and send no event, as far as its source text shows?
 local function ends_at_once(doo)
-  local text = text_of_body(doo)
-  for _, word in ipairs { "while", "repeat", "for", "goto", "yield", "send_events" } do
-    if text:find("%f[%w_]" .. word .. "%f[^%w_]") then return false end
-  end
-  return text ~= ""
+  return writes.text_of(doo) ~= nil and not order.any(LASTING, function(word)
+    return writes.may_call(doo, nil, word)
+  end)
 end
 
 -- Returns a transition from the same leaf that is never taken, because `tr` has no
@@ -363,19 +353,13 @@ local function arrivals_of(fsm)
   return arrivals
 end
 
--- Does a transition without a guard lead on from a connector on an event?
-local function has_default(connector, event)
-  return order.any(connector._otrs, function(tr)
-    return not tr.guard and match.triggers(tr, event)
-  end)
-end
-
 local function check_default(connector, arriving, add)
   local texts = {}
   for _, event in ipairs(arriving or {}) do
-    if not has_default(connector, event) then
-      texts[#texts + 1] = rfsm.event_text(event)
-    end
+    local has_default = order.any(connector._otrs, function(tr)
+      return not tr.guard and match.triggers(tr, event)
+    end)
+    if not has_default then texts[#texts + 1] = rfsm.event_text(event) end
   end
   if not texts[1] or not connector._otrs[1] then return end
   local list = concat(texts, ", ")

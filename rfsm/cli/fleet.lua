@@ -139,14 +139,8 @@ function LINES.send(fleet, options, key, text, id)
     other_key(fleet, key))
 end
 
-local function machines_text(count)
-  return ("%d %s"):format(count, count == 1 and "machine" or "machines")
-end
-
-command.machines_text = machines_text
-
 function LINES.reindex(fleet)
-  return { machines_text(ask(fleet.reindex, fleet)) }
+  return { opts.counted(ask(fleet.reindex, fleet), "machine") }
 end
 
 -- One machine as a file ------------------------------------------------------------
@@ -389,8 +383,8 @@ end
 function LINES.list(fleet, options)
   local filter = options.where or {}
   local found = ask(find_machines, fleet, filter)
-  return texts_of(found), machines_text(#found) .. (found[1] and counts_of(found)
-    or hint_for(fleet, filter.chart, filter.state, filter.version))
+  return texts_of(found), opts.counted(#found, "machine") .. (found[1]
+    and counts_of(found) or hint_for(fleet, filter.chart, filter.state, filter.version))
 end
 
 -- Does a verb for all machines or entries that are meant, or, dry, shows them. Returns

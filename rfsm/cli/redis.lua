@@ -5,6 +5,7 @@
 
 local common = require "rfsm.cli.common"
 local fleets = require "rfsm.cli.fleet"
+local opts = require "rfsm.shared.options"
 
 local ask, connect = fleets.ask, fleets.connect
 
@@ -52,7 +53,7 @@ local function warn_of_gone(fleet, url)
     local name = one.chart
     if one.known == "gone" then
       common.warn((charts[name] and OLDER or GONE):format(
-        fleets.machines_text(one.count), name, one.version, name, name, url))
+        opts.counted(one.count, "machine"), name, one.version, name, name, url))
     end
   end
 end

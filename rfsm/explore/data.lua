@@ -160,22 +160,21 @@ end
 -- Appends how many examples there are of each event in `classes`.
 local function add_examples(self, texts)
   for _, name in ipairs(rfsm.sorted_keys(self.classes)) do
-    local count = #self.classes[name]
-    texts[#texts + 1] = ("%d %s of %s"):format(count, count == 1 and "example"
-      or "examples", name)
+    texts[#texts + 1] = opts.counted(#self.classes[name], "example") .. " of " .. name
   end
 end
 
---- Return the premises of a verdict that are about data and texts.
+--- Return the premises of a verdict that are about guards, data and texts.
 ---@param self rfsm_checks.Subject
 ---@return string[] texts
 function data.premises(self)
-  local texts, count = {}, self.idle_callbacks
+  local texts, count = match.joined({}, self.rule_texts), self.idle_callbacks
   if count > 0 then
-    texts[1] = ("%d %s not run"):format(count, count == 1 and "callback" or "callbacks")
+    texts[#texts + 1] = opts.counted(count, "callback") .. " not run"
   end
   add_examples(self, texts)
-  texts[#texts + 1] = self.memory and self.memory:premise() or nil
+  texts[#texts + 1] = self.memory and self.memory.is_cut and "not all data looked at"
+    or nil
   texts[#texts + 1] = self.shares_text and "callbacks of one line read together"
     .. (syntax.is_there and "" or " (luacheck is not installed)") or nil
   return texts
@@ -203,7 +202,7 @@ local function is_name_of(_, key) return type(key) == "string" end
 -- Returns the callbacks of a list of functions and names; raises an error if the chart
 -- does not have one of them.
 local function found_in(named, list, field)
-  local is_known, found = {}, {}
+  local is_known, found, kind = {}, {}, field == "run" and "callback" or "guard"
   for name, callback in order.each(named) do -- any order: a set
     local is_right = field == "run" or name:find("^guard ")
     if is_right then is_known[name], is_known[callback] = callback, callback end
@@ -211,11 +210,10 @@ local function found_in(named, list, field)
   for i, item in ipairs(list) do
     found[i] = is_known[item]
     if not found[i] and type(item) == "string" then
-      error(("%s: no %s '%s'%s"):format(field, field == "run" and "callback" or "guard",
-        item, advice.nearest_name(item, rfsm.sorted_keys(is_known, is_name_of))), 0)
+      error(("%s: no %s '%s'%s"):format(field, kind, item,
+        advice.nearest_name(item, rfsm.sorted_keys(is_known, is_name_of))), 0)
     elseif not found[i] then
-      error(("%s: function %d is no %s of the chart"):format(field, i,
-        field == "run" and "callback" or "guard"), 0)
+      error(("%s: function %d is no %s of the chart"):format(field, i, kind), 0)
     end
   end
   return found
@@ -230,9 +228,8 @@ local function add_rules(self, kind, list, named)
       local rules = self.rules[guard]
       rules[#rules + 1] = { kind = kind, group = group }
     end
-    self.rule_texts[#self.rule_texts + 1] = ("%d %s %s"):format(#group,
-      #group == 1 and "guard" or "guards", kind == "same" and "the same in a step"
-      or kind)
+    self.rule_texts[#self.rule_texts + 1] = opts.counted(#group, "guard") .. " "
+      .. (kind == "same" and "the same in a step" or kind)
   end
 end
 

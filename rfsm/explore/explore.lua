@@ -263,12 +263,12 @@ end
 
 explore.note_untried = Walk.note_untried
 
--- Notes that a step from the configuration `from` was not tried: so nobody knows that
--- nothing happens there.
-local function note_cut(walk, from, is_from_outside, bound, text)
+-- Notes that a step was not tried, or its target is not explored: so nobody knows that
+-- nothing happens in the configuration. Without a bound, that is a premise.
+local function note_cut(walk, try, bound, text)
   walk.has_moved = true
-  walk.cut[from] = walk.cut[from] or not is_from_outside
-  walk:note_untried(bound, text)
+  walk.cut[try.from] = walk.cut[try.from] or not try.is_from_outside
+  if bound then walk:note_untried(bound, text) end
 end
 
 -- Notes the states that a step has entered and left again.
@@ -316,41 +316,32 @@ end
 ---@field f fun(walk: rfsm_checks.Walk, try: rfsm_checks.Try, key: string|nil,
 -- label: fun()) called after the step; `key` is nil if the step never ends
 
--- Notes that a step has led to more deferred events than the options allow. If all of
--- them come from outside, it is a premise that they do not.
-local function note_limited(walk, try)
-  walk.has_moved, walk.is_limited = true, true
-  walk.cut[try.from] = walk.cut[try.from] or not try.is_from_outside
-  if walk.subject.has_senders then
-    walk:note_untried("deferred", ("more than %d deferred events"):format(
-      walk.options.deferred))
-  end
-end
-
 -- Returns two results: the key of the configuration to which the last step has led (nil
 -- if it is not explored), and for each clock there the number that it had before.
 local function key_after(walk, try, label)
-  local context, key, problem = try.conf.context, walk.subject:read()
+  local own, most = walk.subject, walk.options.deferred
+  local context, key, problem = try.conf.context, own:read()
   local states, entries, zone, clocks, sources = NOTHING, false, nil, nil, nil
   if context then states, clocks = monitors.after(walk, try, key, label) end
   if walk.timing then
     entries, sources, zone = walk.timing:after(try, walk, clocks)
   end
-  if walk.subject:may_come_twice() then
+  if own:may_come_twice() then
     walk:note_untried("timers", "a time event that comes again while it waits")
   end
   if entries == nil then
-    note_cut(walk, try.from, try.is_from_outside, "pending",
-      ("more than %d events that wait to be sent later"):format(walk.options.pending))
-    return nil, sources
+    note_cut(walk, try, "pending", ("more than %d events that wait to be sent later")
+      :format(walk.options.pending))
   elseif problem then
-    note_cut(walk, try.from, try.is_from_outside, "values", problem)
-    return nil, sources
-  elseif walk.subject.deferred > walk.options.deferred then
-    note_limited(walk, try)
-    return nil, sources
+    note_cut(walk, try, "values", problem)
+  elseif own.deferred > most then -- if all come from outside, a premise is that not
+    walk.is_limited = true
+    note_cut(walk, try, own.has_senders and "deferred",
+      ("more than %d deferred events"):format(most))
+  else
+    return key_of(walk, key, states, entries, zone), sources
   end
-  return key_of(walk, key, states, entries, zone), sources
+  return nil, sources
 end
 
 -- Returns the seconds of processor time; 0 on a host without a clock.
@@ -421,9 +412,9 @@ local function each_list(walk, try)
   local untried = not walk.is_late
     and walk.subject:each_choice(try.conf, try.events, walk, after_choice)
   if walk.is_late then
-    note_cut(walk, try.from, try.is_from_outside, "seconds", BEHIND .. "seconds")
+    note_cut(walk, try, "seconds", BEHIND .. "seconds")
   elseif untried then
-    note_cut(walk, try.from, try.is_from_outside, "choices", untried)
+    note_cut(walk, try, "choices", untried)
   end
 end
 
@@ -449,7 +440,7 @@ local function groups_of(walk, from, conf)
   if not walk.timing then return NO_GROUP end
   local groups = walk.timing:groups(conf, subject.is_driven(conf))
   if walk.timing.is_cut then
-    note_cut(walk, from, false, "sets", "some orders of deadlines")
+    note_cut(walk, { from = from }, "sets", "some orders of deadlines")
   end
   return groups
 end
@@ -501,8 +492,9 @@ local function each_try(walk, from, f, read)
   local conf = walk:configuration(from)
   local list, needed, is_cut = reactions.that_may_come(walk.subject, conf)
   if is_cut then
-    note_cut(walk, from, true, "sets", ("some sets of events that paths from %s need")
-      :format(conf[1].leaf and conf[1].leaf._fqn or "root.initial"))
+    note_cut(walk, { from = from, is_from_outside = true }, "sets",
+      ("some sets of events that paths from %s need"):format(conf[1].leaf
+      and conf[1].leaf._fqn or "root.initial"))
   end
   add_wanted(walk.subject, walk.wanted, list)
   local sets = sets_from_outside(walk, conf, list, needed, read)
@@ -818,7 +810,7 @@ end
 --- `run`, or takes a transition, after a callback may have changed data or targets that
 --- are not followed.
 ---@param steps { unfollowed: any, ran: any, taken: string[], machine: string? }[]
----@param goes_on? boolean callbacks in `run` decide what happens after the run, too
+---@param goes_on? any callbacks in `run` decide what happens after the run, too
 ---@return boolean
 function explore.is_doubtful(steps, goes_on)
   local changed = {} -- by machine

@@ -237,18 +237,11 @@ local function add_named(own, parts, condition)
   return true
 end
 
--- Appends the parts that react to an event.
-local function add_reacting(self, parts, event)
+-- Appends the parts that react to an event, or in which a step may "pass" a state.
+local function add_reacting(self, parts, word)
   for _, part in ipairs(self.own.parts) do
-    local traits = self.traits[part]
-    if traits.is_any or traits.events[event] then parts[#parts + 1] = part end
-  end
-end
-
--- Appends the parts in which a step may pass a state.
-local function add_passing(self, parts)
-  for _, part in ipairs(self.own.parts) do
-    if part.may_pass then parts[#parts + 1] = part end
+    local traits, passes = self.traits[part], word == "pass" and part.may_pass
+    if passes or traits.is_any or traits.events[word] then parts[#parts + 1] = part end
   end
 end
 
@@ -260,7 +253,6 @@ local function add_heard(self, parts, observer)
     local kind, path = observers.element_of(word)
     if own:maker_of(word) or kind == "taken" then return false end
     parts[#parts + 1] = kind and own.part_of[path] or nil
-    if word == "pass" then add_passing(self, parts) end
     add_reacting(self, parts, word)
   end
   for _, condition in ipairs(observer.conditions) do

@@ -194,13 +194,6 @@ function Memory:put_back()
   return text
 end
 
---- Return a text for the premises that names data that were not looked at; nil if all
---- data were looked at.
----@return string?
-function Memory:premise()
-  return self.is_cut and "not all data looked at" or nil
-end
-
 -- Public functions ..................................................................
 
 --- Return the place of a field by its path; raise an error if there is no such field.

@@ -15,6 +15,7 @@
 
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
+local instrument = require "rfsm.shared.instrument"
 local location = require "rfsm.shared.location"
 local match = require "rfsm.shared.match"
 local monitors = require "rfsm.explore.monitors"
@@ -59,8 +60,6 @@ local STEP = "step"
 
 -- The machine .......................................................................
 
-local CALLBACKS = { "entry", "exit", "doo", "guard", "effect" }
-
 local WHEN = { "when" }
 
 local function refuse(obj, text)
@@ -71,7 +70,7 @@ local function check_element(obj)
   if rfsm.is_state(obj) and rfsm.regions(obj)[1] then
     refuse(obj, "an observer has no regions")
   end
-  for _, field in ipairs(CALLBACKS) do
+  for _, field in ipairs(instrument.CALLBACKS) do
     if obj[field] then
       refuse(obj, ("an observer has no %s (a transition may have a condition, when = "
         .. "...)"):format(field))

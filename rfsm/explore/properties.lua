@@ -97,14 +97,10 @@ local halves = setmetatable({}, { __mode = "k" })
 -- The problem of a property as a part of another one.
 local NO_PART = "got a property (is there a colon in place of a dot?)"
 
-local function is_property(value)
-  return halves[value] ~= nil
-    or type(value) == "table" and getmetatable(value) == Property
-end
-
 -- Returns the value of a part of a property; raises an error if the value is wrong.
 local function checked(where, part, value)
-  local problem = is_property(value) and NO_PART or PROBLEMS[part](value)
+  local is_property = halves[value] or getmetatable(value) == Property
+  local problem = is_property and NO_PART or PROBLEMS[part](value)
   if problem then error("rfsm_checks." .. where .. ": " .. problem, 3) end
   return value
 end

@@ -94,15 +94,13 @@ replacements.check_sends = opts.each_field(problem_of_sends)
 
 -- Callbacks by name ................................................................
 
-local FIELDS = { "entry", "exit", "doo", "guard", "effect" }
-
 -- Calls f(name, callback, fsm, element, field) for each callback of a machine and its
 -- regions. For a sequential AND state f gets the user's callbacks, not the extension's.
 local function each_callback(fsm, f)
   for entry, obj in location.each(fsm) do
     local own = instrument.owner_of_callbacks(obj)
     local path = location.path(obj, entry.prefix)
-    for _, field in ipairs(FIELDS) do
+    for _, field in ipairs(instrument.CALLBACKS) do
       local name = field .. " " .. path
       if rfsm.is_callable(own[field]) then
         f(name, own[field], entry.machine, obj, field)
@@ -117,15 +115,6 @@ function replacements.named(fsm)
   local named = {}
   each_callback(fsm, function(name, callback) named[name] = callback end)
   return named
-end
-
--- May a callback call the function `name` of a module, as far as its text shows?
-local function may_call(callback, module, name)
-  local f = module and module[name]
-  return writes.each(callback, function(text, own)
-    return text:find("%f[%w_]" .. name .. "%f[^%w_]") or f and order.any(
-      calls.upvalues_of(own), function(upvalue) return rawequal(upvalue.value, f) end)
-  end, {})
 end
 
 local EMIT = "%f[%w_](emit[%w_]*)%s*%(?%s*([\"']?)([^\"'%s]*)"
@@ -186,7 +175,7 @@ end
 -- Notes that a callback emits events, or sends some that the alphabet may not have.
 local function note_senders(self, name, callback)
   if may_emit(callback) then self.emitters[#self.emitters + 1] = name end
-  if self.alphabet and may_call(callback, rfsm, "send_events") then
+  if self.alphabet and writes.may_call(callback, rfsm, "send_events") then
     self.unsure_senders[#self.unsure_senders + 1] = name
   end
 end
@@ -204,8 +193,8 @@ function replacements.note_writer(self, name, callback)
   if not is_listed then note_senders(self, name, callback) end
   if self.sends[name] and not is_run then return end
   local timeevent = package.loaded.rfsm_timeevent
-  if may_call(callback, timeevent, "send_after") then note(self.late_senders) end
-  if may_call(callback, timeevent, "cancel") then note(self.cancellers) end
+  if writes.may_call(callback, timeevent, "send_after") then note(self.late_senders) end
+  if writes.may_call(callback, timeevent, "cancel") then note(self.cancellers) end
 end
 
 --- Return a function that notes that a callback has run which may change what is not
@@ -281,7 +270,7 @@ local IS_DRY = { entry = true, exit = true, effect = true }
 -- Is it not known what a callback sends, since it has failed in a dry run, or reads the
 -- event, which a dry run does not have?
 local function is_unsure(callback, ok)
-  local may_send = may_emit(callback) or may_call(callback, rfsm, "send_events")
+  local may_send = may_emit(callback) or writes.may_call(callback, rfsm, "send_events")
   return may_send and not (ok and not writes.may_read(callback, replacements.EVENTS))
 end
 
@@ -384,7 +373,7 @@ local function new_replacement(self, part, name, run, flags, events)
   if not (flags[1] or events[1] ~= nil or run) then return nil end
   if run then
     part.is_bound = true
-    self.has_senders = self.has_senders or may_call(run, rfsm, "send_events")
+    self.has_senders = self.has_senders or writes.may_call(run, rfsm, "send_events")
   end
   local sends, reads_event = {}, run and writes.may_read(run, replacements.EVENTS)
   for i, item in ipairs(events) do sends[i] = new_send(self, part, item) end

@@ -145,7 +145,7 @@ Subject.__index = Subject
 ---@field path string path of the leaf
 ---@field paths string[] paths of the leaf and of the states around it
 ---@field reactions rfsm_checks.Reactions|false false until they are asked for
----@field needs_no_event? boolean a transition that needs no event may be taken in it
+---@field needs_no_event boolean a transition that needs no event may be taken in it
 ---@field positions table<string, rfsm_checks.Position> by a text of mode, events, data
 
 --- The state of one part: its leaf, the mode, waiting events, data of extensions.
@@ -406,6 +406,8 @@ local function new_hook(self, part)
   end
 end
 
+local function is_always(tr) return tr.always == true end
+
 -- Notes the paths of a leaf and its ancestors. `leaf` is false for "not entered".
 local function add_leaf(part, leaf)
   local paths = {}
@@ -413,7 +415,8 @@ local function add_leaf(part, leaf)
     paths[i] = location.path(node, part.prefix)
   end
   part.known[leaf] = { state = leaf, path = paths[#paths], paths = paths,
-    reactions = false, positions = {} }
+    reactions = false, positions = {}, needs_no_event = leaf
+      and order.any(location.transitions(part.fsm, leaf), is_always) }
 end
 
 local SILENT = { "getevents", "idle_hook", "pre_step_hook", "post_step_hook", "dbg" }
@@ -499,24 +502,6 @@ end
 
 -- Configurations ..................................................................
 
--- Does a transition that may be taken in a leaf need no event?
-local function needs_no_event(known)
-  if known.needs_no_event == nil then
-    known.needs_no_event = false
-    local state = known.state
-    while state do
-      for _, tr in ipairs(state._otrs) do
-        known.needs_no_event = known.needs_no_event or tr.always == true
-      end
-      state = state._parent ~= state and state._parent
-    end
-  end
-  return known.needs_no_event
-end
-
--- Does any event make a difference in a leaf?
-local function takes_any(known, found) return found.any or needs_no_event(known) end
-
 -- Lists the waiting events to which the leaf can react, each once. If there are none,
 -- and the leaf reacts to any event, the first waiting event is listed alone; also if a
 -- transition needs no event, since its guard is asked again after any event. If an
@@ -524,18 +509,15 @@ local function takes_any(known, found) return found.any or needs_no_event(known)
 -- iteration, all waiting events are listed.
 local function relevant(self, part, leaf, events)
   if part.keeps_order then return match.joined({}, events) end
-  local found, list, other = reactions.of(part, leaf), NOTHING, nil
+  local found, list = reactions.of(part, leaf), NOTHING
   for i = 1, #events do
     local event = events[i]
-    if not (found.has_predicate or found.set[self:any_of(event)]
-      or self.wanted[event] ~= nil) then
-      if other == nil then other = event end
-    elseif not match.has(list, event) then
-      list = match.with(list, event)
-    end
+    local counts = found.has_predicate or found.set[self:any_of(event)]
+      or self.wanted[event] ~= nil
+    if counts and not match.has(list, event) then list = match.with(list, event) end
   end
-  return list[1] == nil and leaf and takes_any(part.known[leaf], found) and { other }
-    or list
+  if list[1] ~= nil or not leaf then return list end
+  return (found.any or part.known[leaf].needs_no_event) and { events[1] } or list
 end
 
 -- Returns a text with the numbers of the waiting events; empty if no event waits.
@@ -736,11 +718,6 @@ end
 local OF_STEP = { "taken", "passed", "heard", "last_events", "sent", "sent_later",
   "emitted", "called" }
 
--- Has what came to a region wait in its queue, if the step has not advanced it.
-local function keep_coming(self)
-  for _, part in ipairs(self.parts) do put_coming(part, part.fsm._intq) end
-end
-
 -- Drops the moments whose states are still active at the end of the step: no state was
 -- passed then. Words about other things stay.
 local function keep_passed(moments)
@@ -784,7 +761,9 @@ function Subject:step(events, choices)
   if ok then
     keep_passed(self.passed)
     keep_passed(self.heard)
-    keep_coming(self)
+    for _, part in ipairs(self.parts) do -- what came to a region that did not advance
+      put_coming(part, part.fsm._intq)
+    end
     return true
   end
   if not self.is_endless then error(failure, 0) end
@@ -891,12 +870,9 @@ end
 --- busy, if a transition needs no event, or if an extension has data, such as an event
 --- that it will send.
 function subject.may_act(conf)
-  local is_data = false
-  for _, position in ipairs(conf) do
-    is_data = is_data or position.kept and position.kept.is_data
-      or needs_no_event(position.known)
-  end
-  return is_data or subject.is_busy(conf)
+  return subject.is_busy(conf) or order.any(conf, function(position)
+    return position.kept and position.kept.is_data or position.known.needs_no_event
+  end)
 end
 
 -- Public functions ................................................................

@@ -23,6 +23,7 @@
 
 local rfsm = require "rfsm"
 local match = require "rfsm.shared.match"
+local order = require "rfsm.shared.order"
 local zones = require "rfsm.explore.zones"
 
 local ipairs, math, setmetatable, table = ipairs, math, setmetatable, table
@@ -225,10 +226,9 @@ function timing.new(walk, options)
   local self = setmetatable({ subject = walk.subject, clocks = {}, of = {},
     period = options.period and nanoseconds(options.period) or false, fired = {},
     pending = options.pending, is_timed = false, is_cut = false, ranks = {}, count = 0,
-    reads_one = false }, Timing)
-  for _, part in ipairs(walk.subject.parts) do
-    self.reads_one = self.reads_one or part.reads_one
-  end
+    reads_one = order.any(walk.subject.parts, function(part)
+      return part.reads_one
+    end) }, Timing)
   self.unit = self.period or 0
   add_clocks(self, walk.monitors, options.timers == "free")
   walk.subject.free.timers = has_free_timer(walk.subject)

@@ -12,6 +12,7 @@ local independence = require "rfsm.explore.independence"
 local match = require "rfsm.shared.match"
 local monitors = require "rfsm.explore.monitors"
 local location = require "rfsm.shared.location"
+local opts = require "rfsm.shared.options"
 local properties = require "rfsm.explore.properties"
 local subject = require "rfsm.explore.subject"
 local reactions = require "rfsm.explore.reactions"
@@ -176,23 +177,13 @@ local function leaves_of(walk, number)
   return leaves, concat(paths, ", "), are_final
 end
 
--- May callbacks change what the exploration does not follow?
-local function has_gaps(own)
-  return own.data_writers[1] or own.unknown[1] or own.writers[1]
-end
-
--- Is it doubtful that a machine can follow a witness, and then does what the
--- configurations behind it do?
-local function is_doubtful(own, witness, goes_on)
-  return explore.is_doubtful(witness, goes_on and own.run_list[1] ~= nil)
-end
-
 -- Appends a finding. Its witness is the run to configuration `number`, followed by the
 -- step with the label `label` if one is given. A run that is doubtful shows nothing.
 local function add_run(walk, findings, code, state, path, text, number, label)
   local own = walk.subject
-  local known = has_gaps(own) and walk:witness(number, label)
-  if known and is_doubtful(own, known, true) then return {} end
+  local may_change = own.data_writers[1] or own.unknown[1] or own.writers[1]
+  local known = may_change and walk:witness(number, label) -- what is not followed
+  if known and explore.is_doubtful(known, own.run_list[1]) then return {} end
   local finding = findings:add(code, state, path, text)
   if finding then finding.witness = known or walk:witness(number, label) end
   return finding or {}
@@ -370,13 +361,6 @@ local function add_times(texts, walks, period)
   texts[#texts + 1] = "steps take no time"
 end
 
--- Returns the premise that no more events are deferred, if a walk left out such a step.
-local function limit_of(walks, deferred)
-  if not any(walks, function(walk) return walk.is_limited end) then return nil end
-  return ("at most %d deferred %s"):format(deferred, deferred == 1 and "event"
-    or "events")
-end
-
 -- Returns the premises of walks as a text: "one event a step; guards and timers free".
 local function premises_of(walks, options)
   local walk, free = walks[1], {}
@@ -388,12 +372,11 @@ local function premises_of(walks, options)
     texts[2] = "none from outside while one waits"
   end
   if options.alphabet then texts[#texts + 1] = "no event outside of the alphabet" end
-  texts[#texts + 1] = limit_of(walks, options.deferred)
+  texts[#texts + 1] = any(walks, function(each) return each.is_limited end)
+    and "at most " .. opts.counted(options.deferred, "deferred event") or nil
   if walk.way then texts[#texts + 1] = "independent regions one by one" end
   add_times(texts, walks, options.period)
-  for _, list in ipairs { walk.subject.rule_texts, data.premises(walk.subject) } do
-    for _, text in ipairs(list) do texts[#texts + 1] = text end
-  end
+  texts = match.joined(texts, data.premises(walk.subject))
   texts[#texts + 1] = next(free) and free_text(free) .. " free" or nil
   return concat(texts, "; ")
 end
@@ -418,7 +401,7 @@ end
 local function find_witness(walk, judged)
   local witness = walk:witness(judged.at, judged.label, judged.cycle)
   local goes_on = judged.tgt or judged.rests or judged.cycle
-  local is_open = is_doubtful(walk.subject, witness, goes_on)
+  local is_open = explore.is_doubtful(witness, goes_on and walk.subject.run_list[1])
     or explore.may_miss(witness, judged.rests or judged.cycle)
   if not is_open then return witness end
   judged.holds = nil

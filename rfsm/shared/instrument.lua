@@ -12,7 +12,8 @@ local rfsm = require "rfsm"
 local ipairs, rawequal, rawget, rawset = ipairs, rawequal, rawget, rawset
 local remove = table.remove
 
-local instrument = {}
+--- The fields of callbacks: of states, then of transitions.
+local instrument = { CALLBACKS = { "entry", "exit", "doo", "guard", "effect" } }
 
 -- The changes of an object's fields, the latest last. The object has them itself, since
 -- Lua 5.1 never collects a weak table whose values lead to their keys.

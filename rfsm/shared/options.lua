@@ -61,6 +61,11 @@ function options.is_list(value)
   return #rfsm.sorted_keys(value) == #value
 end
 
+--- Return how many things there are as a text: "1 event", "2 events".
+function options.counted(count, word)
+  return ("%d %s%s"):format(count, word, count == 1 and "" or "s")
+end
+
 --- Return the end of a message: "got string 'x'", "got 7".
 function options.got(value) return (rfsm.got(value):gsub("^got number ", "got ")) end
 

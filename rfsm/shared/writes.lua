@@ -355,6 +355,19 @@ function writes.may_read(callback, at, last)
     and (text:find("^function") or text:find("...", 1, true)) ~= nil
 end
 
+--- May a callback call the function `name` of a module, as far as its text shows?
+---@param callback any
+---@param module table?
+---@param name string
+---@return boolean
+function writes.may_call(callback, module, name)
+  local f = module and module[name]
+  return writes.each(callback, function(text, own)
+    return text:find("%f[%w_]" .. name .. "%f[^%w_]") or f and order.any(
+      calls.upvalues_of(own), function(upvalue) return rawequal(upvalue.value, f) end)
+  end, {})
+end
+
 --- May a function write a field of one of these names?
 ---@param callback any
 ---@param names string[] names, or patterns such as `ANY`

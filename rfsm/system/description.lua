@@ -132,10 +132,6 @@ end
 
 -- Wires ---------------------------------------------------------------------------
 
-local function one_of(a, b)
-  return function(x) return x == a or x == b end
-end
-
 -- Is the value a list of names, at least one, each of them once?
 local function is_event_list(x)
   local seen = {}
@@ -160,7 +156,8 @@ local function fields_of(draft)
     from = { "name of a machine", is_name }, to = { "name of a machine", is_name },
     event = { "name of an event", opts.is_text },
     events = { "list of events", is_event_list },
-    kind = { "'buffer' or 'data'", one_of("buffer", "data"), "buffer" },
+    kind = { "'buffer' or 'data'", function(x) return x == "buffer" or x == "data" end,
+      "buffer" },
     size = { "whole number from 1", opts.is_whole(1, huge), 16 },
   }
 end

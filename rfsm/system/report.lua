@@ -307,9 +307,7 @@ local function add_premises(result, walk, settings)
     if settings[member.name].alphabet then
       add(member.name .. ": no event outside of the alphabet")
     end
-    for _, list in ipairs { own.rule_texts, data.premises(own) } do
-      for _, text in ipairs(list) do add(member.name .. ": " .. text) end
-    end
+    for _, text in ipairs(data.premises(own)) do add(member.name .. ": " .. text) end
   end
   for _, wire in ipairs(walk.wires) do
     add(("%s: %s"):format(wire_text(wire), wire.kind == "data" and "data"
