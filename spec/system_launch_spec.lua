@@ -196,6 +196,25 @@ describe("rfsm.rtt.launch_system", function()
     assert.same({ "rx" }, rtt_helper.loaded())
   end)
 
+  it("stops and unloads the others if a component was unloaded", function()
+    for _, options in ipairs { {}, { machines = { rx = { component = true } } } } do
+      local file = written({ tx = teller("e_x"), rx = taker("e_x") },
+        "{ from = 'tx', event = 'e_x', to = 'rx' }")
+      if options.machines then rtt_helper.load("rx") end
+      local cell = rfsm_rtt.launch_system(file, options)
+      cell:start()
+      cell.components.rx:stop()
+      rtt_helper.deployer():getOperation("unloadComponent")("rx")
+      cell:stop()
+      assert.equal("Stopped", cell.components.tx:getState())
+      assert.matches(":%d: 'rx' is not there, it was unloaded$",
+        select(2, pcall(cell.start, cell)))
+      assert.equal("Stopped", cell.components.tx:getState())
+      cell:unload()
+      assert.same({}, rtt_helper.loaded())
+    end
+  end)
+
   it("hands options that are tables to a component that is there", function()
     local file = written({ tx = teller("e_x"), rx = taker("e_x", "boss_e_out") },
       "{ from = 'tx', event = 'e_x', to = 'rx' }")

@@ -215,16 +215,20 @@ local function arguments(launch, name)
   return args
 end
 
+-- Stops a component, unless it was unloaded meanwhile. Returns whether it is there.
+local function stop(launch, name)
+  local component = rtt_launch.peer_of(launch.deployer, name)
+  if component then component:stop() end
+  return component ~= nil
+end
+
 -- Launches a machine in a component of its own.
 local function make_component(launch, name, args)
   args.name, args.deployer = name, launch.deployer
   launch.components[name] = rtt_launch.launch_component(args)
   insert(launch.made, function()
-    launch.components[name]:stop()
-    launch.deployer:getOperation("unloadComponent")(name)
-    if args.timer and rtt_launch.peer_of(launch.deployer, name .. "_timer") then
-      rtt_launch.peer_of(launch.deployer, name .. "_timer"):stop()
-      launch.deployer:getOperation("unloadComponent")(name .. "_timer")
+    for _, own in ipairs { name, args.timer and name .. "_timer" or nil } do
+      if stop(launch, own) then launch.deployer:getOperation("unloadComponent")(own) end
     end
   end)
 end
@@ -238,7 +242,7 @@ local function take_component(launch, name, args)
   local run = component:getOperation("exec_str")
   local names = component:getPortNames()
   insert(launch.made, function()
-    component:stop()
+    if not stop(launch, name) then return end
     run(FORGET)
     for _, port in ipairs(component:getPortNames()) do
       if not match.has(names, port) then component:removePort(port) end
@@ -305,17 +309,18 @@ end
 -- @raise if a component does not start; then those that were started are stopped
 function Launched:start()
   for i, name in ipairs(self.order) do
-    if not self.components[name]:start() then
-      for n = i - 1, 1, -1 do self.components[self.order[n]]:stop() end
-      error(("rfsm.rtt.launch_system: %s: '%s' does not start"):format(
-        self.cell.places[name], name), 2)
+    local component = rtt_launch.peer_of(self.deployer, name)
+    if not (component and component:start()) then
+      for n = i - 1, 1, -1 do stop(self, self.order[n]) end
+      error(("rfsm.rtt.launch_system: %s: '%s' %s"):format(self.cell.places[name], name,
+        component and "does not start" or "is not there, it was unloaded"), 2)
     end
   end
 end
 
 --- Stop the components, the last started first.
 function Launched:stop()
-  for i = #self.order, 1, -1 do self.components[self.order[i]]:stop() end
+  for i = #self.order, 1, -1 do stop(self, self.order[i]) end
 end
 
 --- Stop the components, and unload those that the launch has loaded.

@@ -949,6 +949,11 @@ DEPLOYER.loadComponent = operation(2, function(name, kind)
   return true
 end)
 
+-- What a program still has of a component that was unloaded.
+local UNLOADED = { __index = function()
+  error("TaskContext.provides: no default service", 2)
+end }
+
 DEPLOYER.unloadComponent = operation(1, function(name)
   local component = deployer.peers[name]
   if not component or IS_ACTIVE[component.state] then
@@ -960,6 +965,7 @@ DEPLOYER.unloadComponent = operation(1, function(name)
   end
   remove_named(deployer.peers, name)
   remove_from(components, component)
+  setmetatable(component, UNLOADED)
   return true
 end)
 
