@@ -899,6 +899,20 @@ return rfsm.state { info = false, warn = false,
     assert.equal("false", evaluate(exec_str, "fsm._act_leaf"))
   end)
 
+  it("is not woken by a timer that was unloaded, and says so once", function()
+    local arm, exec_str = launched { timer = true, fsmfile = chart_file [[
+      rfsm.trans { src = "a", tgt = "internal", events = { "e_every(0.1)" } },]] }
+    arm:configure()
+    arm:start()
+    rtt_helper.spin()
+    rtt_helper.deployer():getPeer("arm_timer"):stop()
+    rtt_helper.deployer():getOperation("unloadComponent")("arm_timer")
+    for _ = 1, 3 do exec_str("trigger()") end
+    assert.same({ "Error: rfsm.rtt: time events are late from now on: 'arm_timer' was "
+      .. "unloaded" }, logged("late"))
+    assert.equal(0, arm:getAttribute("rfsm_failures"):get())
+  end)
+
   it("with timer = true knows time events that the chart does not require", function()
     local _, exec_str = launched { timer = true, fsmfile = file_with [[
       return rfsm.state { a = rfsm.state {}, b = rfsm.state {},

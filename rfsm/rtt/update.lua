@@ -237,15 +237,23 @@ end
 
 -- Updates ------------------------------------------------------------------------
 
--- Returns a function that wakes an event-driven component for the next time event.
+-- Returns a function that wakes an event-driven component for the next time event. It
+-- looks for the timer each time: an operation of a component that was unloaded ends the
+-- process.
 local function new_alarm(launch, fsm)
   local next_deadline = launch.ports.timer and require("rfsm_timeevent").next_deadline
   if not next_deadline then return function() end end
-  local arm = launch.component:getPeer(launch.timer):getOperation("arm")
+  local component, name = launch.component, launch.timer
+  local arm = component:getPeer(name):getOperation("arm")
   local id, delay = launch.rtt.Variable.new("int"), launch.rtt.Variable.new("double")
   return function()
-    local seconds = next_deadline(fsm)
+    local seconds = arm and next_deadline(fsm)
     if not seconds then return end
+    if not pcall(component.getPeer, component, name) then
+      arm = nil
+      return launch.log("Error", "rfsm.rtt: time events are late from now on: '" .. name
+        .. "' was unloaded")
+    end
     delay:assign(seconds)
     arm(id, delay)
   end

@@ -922,6 +922,7 @@ FACTORIES["OCL::TimerComponent"] = function(name)
   local port = rtt.OutputPort.new("int", "timer_0")
   TaskContext.addPort(component, port)
   component.operations.arm = operation(2, function(_, seconds)
+    if component.is_unloaded then error("RTT has ended the process", 0) end
     if is_variable(seconds) then seconds = methods.tolua(seconds) end
     component.due = now + floor(seconds * BILLION + 0.5)
     return true
@@ -963,8 +964,10 @@ DEPLOYER.unloadComponent = operation(1, function(name)
   for _, port in ipairs(TaskContext.getPortNames(component)) do
     TaskContext.removePort(component, port)
   end
+  for _, other in ipairs(components) do remove_named(other.peers, name) end
   remove_named(deployer.peers, name)
   remove_from(components, component)
+  component.is_unloaded = true
   setmetatable(component, UNLOADED)
   return true
 end)
