@@ -568,16 +568,8 @@ local function plain_event(event, text_of)
   return marsh.utf8(text_of(event))
 end
 
--- Marks a list, so that dkjson does not write an empty one as an object.
-local function as_array(list) return setmetatable(list, { __jsontype = "array" }) end
-
 local TEXTS = { "id", "src", "tgt", "key", "at", "doc", "guard", "effect", "entry",
   "exit", "doo" }
-local LISTS = { "events", "words", "reactions", "transitions", "subnodes", "regions" }
-
-local function each(tab, keys, f)
-  for _, key in ipairs(keys) do tab[key] = tab[key] and f(tab[key]) end
-end
 
 local function make_events_plain(tab, text_of)
   local names = {}
@@ -586,13 +578,12 @@ local function make_events_plain(tab, text_of)
     names[#names + 1] = name and marsh.utf8(name)
     tab.events[i] = plain_event(event, text_of)
   end
-  tab.with_data = names[1] and as_array(names)
+  tab.with_data = names[1] and names
 end
 
 -- Changes the table of an element so that dkjson writes it without loss.
 local function plain(tab, text_of)
-  each(tab, TEXTS, marsh.utf8)
-  each(tab, LISTS, as_array)
+  for _, key in ipairs(TEXTS) do tab[key] = tab[key] and marsh.utf8(tab[key]) end
   tab.pn = tab.pn and plain_number(tab.pn)
   if tab.events then make_events_plain(tab, text_of) end
   for i, text in ipairs(tab.words or {}) do tab.words[i] = marsh.utf8(text) end
@@ -604,8 +595,8 @@ end
 
 --- Return the structure of a machine as dkjson should write it.
 --
--- It differs from the result of `model2tab`: lists are marked as arrays, numbers have
--- the same digits on every Lua, texts are UTF-8, and events that JSON lacks are texts.
+-- It differs from the result of `model2tab`: numbers have the same digits on every Lua,
+-- texts are UTF-8, and events that JSON lacks are texts.
 --
 -- @raise if `fsm` was not initialised
 ---@param fsm rfsm.Machine

@@ -198,6 +198,7 @@ describe("the text of a callback", function()
       ["if (not a()) then\nreturn (b()) end"] = "a(), b()",
       ["a() a()\na() b()\na()"] = "a(), b(), a()",
       ["x = 1 -- a()\nb()"] = "b()", ["x = 1\ny = x"] = "..",
+      ["x = \"off()\"\ny = 'off()'\nput(\")\", ')')\nb()"] = "put(..), b()",
       [("one_call()\ntwo_calls()\n"):rep(3)]
         = "one_call(), two_calls(), one_call(), ..",
     } do
