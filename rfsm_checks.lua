@@ -125,8 +125,19 @@ local ELSEWHERE = {
   watch_properties = "rfsm.observe.watch_properties",
 }
 
+-- Returns the hint for a function that there is not.
+local function hint_for(name)
+  local advice, names = rfsm.find_module "rfsm.advice", rfsm.sorted_keys(ELSEWHERE)
+  for _, own in ipairs(rfsm.sorted_keys(rfsm_checks)) do names[#names + 1] = own end
+  return advice and type(name) == "string" and advice.did_you_mean(name, names) or ""
+end
+
 setmetatable(rfsm_checks, { __index = function(_, name)
-  if not ELSEWHERE[name] then return nil end
+  if not ELSEWHERE[name] then
+    local hint = hint_for(name)
+    if hint == "" then return nil end
+    error("rfsm_checks has no function '" .. name .. "'" .. hint, 2)
+  end
   local part = rfsm.find_module(ELSEWHERE[name])
   if not part then
     error(("rfsm_checks.%s: module '%s' is not installed"):format(name,

@@ -100,6 +100,13 @@ describe("watch", function()
     assert.same({}, warnings)
   end)
 
+  it("names the nearest function for one that there is not", function()
+    local _, text = pcall(function() rfsm_checks.nevr() end)
+    assert.matches("checks_spec.lua:%d+: rfsm_checks has no function 'nevr' %(did you "
+      .. "mean 'never'%?%)$", text)
+    assert.is_nil(rfsm_checks.zzz)
+  end)
+
   it("has its module as a global", function()
     assert.equal(rfsm_checks, rawget(_G, "rfsm_checks"))
   end)

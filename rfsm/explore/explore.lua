@@ -710,6 +710,14 @@ function explore.new(model, options, way)
   return walk
 end
 
+--- Have a walk try two events in a step, unless the machine takes them one by one: then
+--- one event after the other is the same.
+function Walk:take_two()
+  if not (self.options.together or self.subject.parts[1].reads_one) then
+    self.together = 2
+  end
+end
+
 --- Have a walk try an event from each configuration, also one that nothing takes.
 ---@param event any
 ---@param is_certain? boolean also if the alphabet has no such event

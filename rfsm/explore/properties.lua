@@ -611,13 +611,6 @@ local function watch_steps(walk, afters)
   end
 end
 
--- Has a walk try two events in a step, unless the machine takes them one by one: then
--- one event after the other is the same.
-local function take_two(walk)
-  local is_open = not (walk.options.together or walk.subject.parts[1].reads_one)
-  if is_open then walk.together = 2 end
-end
-
 -- Has a walk take steps with the event of a property, or note when the word is said.
 local function want_event(walk, judged)
   local event = judged.event
@@ -626,7 +619,7 @@ local function want_event(walk, judged)
   else
     walk:want(event, true)
   end
-  if judged.property.goal then take_two(walk) end
+  if judged.property.goal then walk:take_two() end
 end
 
 -- Makes the observer of a property, if one judges it. The error about a property or
@@ -686,7 +679,7 @@ function properties.watch(walk, list, own_walk)
   local afters = {}
   for _, judged in ipairs(list) do
     local is_after = judged.property.kind == "after"
-    if is_after then take_two(walk) end
+    if is_after then walk:take_two() end
     local is_here = not (own_walk or judged.is_apart) and judged.way == walk.way
     if is_after and (is_here or judged == own_walk) then
       want_event(walk, judged)

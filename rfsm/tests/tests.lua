@@ -101,6 +101,7 @@ local function watch_steps(walk)
   local edges, is_noted, own = {}, {}, walk.subject
   local left = facts_of(own)
   own.notes_events = true
+  walk:take_two()
   function walk.look(_, from, tgt, events, label)
     local keys = shown_by(own)
     local key = from .. " " .. tgt .. " " .. concat(keys, ",")
@@ -252,8 +253,8 @@ end
 ---@return rfsm_checks.Tests
 function tests.plan(model, options)
   options = options or {}
-  local walk = explore.walk(model, { together = 2, timers = "free",
-    configurations = options.configurations, seconds = options.seconds }, watch_steps)
+  local walk = explore.walk(model, { timers = "free", seconds = options.seconds,
+    configurations = options.configurations }, watch_steps)
   local left, result = {}, { runs = {}, steps = 0,
     taken = #rfsm.sorted_keys(walk.taken), transitions = #walk.subject.transitions,
     skipped = 0, modules = {}, bound = walk.ended_by }
