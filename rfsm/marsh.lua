@@ -12,6 +12,7 @@
 local digits_of = require("rfsm.shared.exact_json").digits_of
 local files = require "rfsm.shared.files"
 local instrument = require "rfsm.shared.instrument"
+local location = require "rfsm.shared.location"
 local rfsm = require "rfsm"
 
 local io, ipairs, rawget, rawset = rawget(_G, "io"), ipairs, rawget, rawset
@@ -91,25 +92,24 @@ local function note_links(tr, links, entries)
 end
 
 local function members_of(fsm)
-  local transitions, nodes, names, links, entries = {}, {}, {}, {}, {}
-  rfsm.mapfsm(function(element, composite, name)
+  local transitions, nodes, links, entries = {}, {}, {}, {}
+  rfsm.mapfsm(function(element, composite)
     if rfsm.is_trans(element) then
       append(transitions, composite, element)
-      names[element] = name
       note_links(element, links, entries)
     elseif element ~= fsm then
       append(nodes, composite, element)
     end
   end, fsm)
-  return transitions, nodes, names, links, entries
+  return transitions, nodes, links, entries
 end
 
--- Returns a function that lists the nodes of a composite (nil for a leaf), then two
--- tables: the transitions by composite, and the names of transitions. A list of nodes
--- has a breadth-first walk from `initial`, then walks from nodes that are entered from
--- outside, then from the other nodes by name.
+-- Returns a function that lists the nodes of a composite (nil for a leaf), then a table
+-- of the transitions by composite. A list of nodes has a breadth-first walk from
+-- `initial`, then walks from nodes that are entered from outside, then from the other
+-- nodes by name.
 local function new_walk(fsm)
-  local transitions, nodes_in, names, links, entries = members_of(fsm)
+  local transitions, nodes_in, links, entries = members_of(fsm)
   return function(composite)
     local nodes = nodes_in[composite]
     if not nodes then return nil end
@@ -130,7 +130,7 @@ local function new_walk(fsm)
     for _, node in ipairs(entries[composite] or {}) do start(node) end
     for _, node in ipairs(nodes) do start(node) end
     return order
-  end, transitions, names
+  end, transitions
 end
 
 -- Callbacks: their name, text, comment or calls in the source ------------------
@@ -338,20 +338,10 @@ end
 ---@field fsm rfsm.Machine
 ---@field walk fun(composite: rfsm.State): rfsm.Node[]? lists the nodes of a composite
 ---@field transitions table<rfsm.State, rfsm.Transition[]> transitions in each composite
----@field names table<rfsm.Transition, string|number> name in its composite
 ---@field prefix string the FQN of the root
 ---@field callback_text? fun(f: function, field?: string): string for full descriptions
 ---@field event_text fun(event: any): string returns the text of an event
----@field regions_of table<rfsm.State, rfsm.Place[]> the regions of each state
 ---@field has_history table<rfsm.State, true> composites entered through their history
-
-local function regions_by_state(fsm)
-  local regions_of = {}
-  for _, region in ipairs(rfsm.machines(fsm)) do
-    if region.state then append(regions_of, region.state, region) end
-  end
-  return regions_of
-end
 
 local function source_of(f)
   return debug and type(f) == "function" and debug.getinfo(f, "S").source
@@ -360,9 +350,9 @@ end
 -- Returns a table with the user's callbacks of a state. If the state has regions, an
 -- extension has set its doo, and perhaps entry and exit. The user's entry and exit are
 -- then kept by the extension.
-local function callbacks_of(state, regions)
-  if not regions then return state end
-  local _, kept = rfsm.regions(state)
+local function callbacks_of(state)
+  local regions, kept = rfsm.regions(state)
+  if not regions[1] then return state end
   local source = source_of(original(state, "doo"))
   local function user_s(field)
     local f = original(kept, field) or original(state, field)
@@ -370,8 +360,6 @@ local function callbacks_of(state, regions)
   end
   return { entry = user_s("entry"), exit = user_s("exit"), doc = state.doc }
 end
-
-local function path_of(writer, node) return writer.prefix .. node._fqn:sub(5) end
 
 local function add_texts(writer, tab, element, fields)
   for _, field in ipairs(fields) do
@@ -407,19 +395,17 @@ local function words_of(writer, events, fqn)
   return words
 end
 
-local function transition_table(writer, tr, composite)
+local function transition_table(writer, tr)
   local events = {}
   for i = 1, tr.events and #tr.events or 0 do events[i] = tr.events[i] end
   local tab = {
-    type = "transition", src = path_of(writer, tr.src),
-    tgt = path_of(writer, target_of(tr)), pn = tr.pn, events = events,
+    type = "transition", src = location.path(tr.src, writer.prefix),
+    tgt = location.path(target_of(tr), writer.prefix), pn = tr.pn, events = events,
     always = tr.always and true or nil,
     internal = rfsm.target_of(tr) == "internal" or nil,
   }
   if not writer.callback_text then return tab end
-  local name = writer.names[tr]
-  tab.key = path_of(writer, composite)
-    .. (type(name) == "number" and ".trans[%s]" or ".%s"):format(rfsm.text_of(name))
+  tab.key = location.path(tr, writer.prefix)
   tab.words = words_of(writer, events, tr.src._fqn)
   add_texts(writer, tab, tr, EFFECTS)
   return tab
@@ -429,22 +415,22 @@ local machine_table
 
 -- Adds the fields of a state that only a full description has.
 local function add_details(writer, tab, state)
-  local regions, mode = writer.regions_of[state], rfsm.get_sta_mode(state)
+  local regions, own = rfsm.regions(state)
+  local path, mode = location.path(state, writer.prefix), rfsm.get_sta_mode(state)
   local _, shown = rfsm.reactions(writer.fsm, state)
   for i, reaction in ipairs(shown) do
     shown[i] = { word = reaction.word,
       words = words_of(writer, reaction.events, state._fqn) }
   end
   tab.reactions = shown[1] and shown
-  add_texts(writer, tab, callbacks_of(state, regions), PROGRAMS)
+  add_texts(writer, tab, callbacks_of(state), PROGRAMS)
   tab.final = state.final and true or nil
   tab.history = writer.has_history[state] and state.history or nil
   tab.mode = mode ~= "inactive" and mode or nil
-  if not regions then return end
-  tab.regions = {}
+  tab.regions = regions[1] and {}
   for i, region in ipairs(regions) do
-    local id = region.prefix:sub(#path_of(writer, state) + 2)
-    tab.regions[i] = machine_table(region.machine, id, region.prefix, writer)
+    local id = rfsm.text_of(own.names[i])
+    tab.regions[i] = machine_table(region, id, path .. "." .. id, writer)
   end
 end
 
@@ -456,7 +442,7 @@ local function node_table(writer, node)
   if not nodes then return tab end
   tab.transitions, tab.subnodes = {}, {}
   for i, tr in ipairs(writer.transitions[node] or {}) do
-    tab.transitions[i] = transition_table(writer, tr, node)
+    tab.transitions[i] = transition_table(writer, tr)
   end
   for i, subnode in ipairs(nodes) do
     tab.subnodes[i] = node_table(writer, subnode)
@@ -477,20 +463,17 @@ end
 -- Returns the table of a machine or region, with this `id`. `texts` has the fields of a
 -- writer that a full description needs; it is empty if the description is not full.
 function machine_table(fsm, id, prefix, texts)
-  local walk, transitions, names = new_walk(fsm)
+  local walk, transitions = new_walk(fsm)
   local tab = node_table({ fsm = fsm, walk = walk, transitions = transitions,
-    names = names,
     prefix = prefix, callback_text = texts.callback_text, event_text = texts.event_text,
-    regions_of = texts.regions_of, has_history = histories_of(fsm) }, fsm)
+    has_history = histories_of(fsm) }, fsm)
   tab.id = id
   return tab
 end
 
 local function description_of(fsm, is_full)
   return machine_table(fsm, "root", "root", is_full and {
-    callback_text = new_callback_text(), event_text = marsh.gen_event_text(),
-    regions_of = regions_by_state(fsm),
-  } or {})
+    callback_text = new_callback_text(), event_text = marsh.gen_event_text() } or {})
 end
 
 --- Return the structure of a machine.

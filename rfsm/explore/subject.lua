@@ -115,7 +115,6 @@ Subject.__index = Subject
 ---@field position rfsm_checks.Position the position in which the step began
 ---@field coming rfsm_checks.Occurrence[] what comes to a region alone in this step
 ---@field rounds integer how many iterations it has made in this step
----@field inner rfsm_checks.Part[] its regions, in the order of the tree
 ---@field may_pass boolean a step may enter and leave a state of it
 ---@field is_single boolean a step of the subject advances it at most once. In such a
 -- step, only composites can be entered and left again.
@@ -462,11 +461,10 @@ end
 -- Makes a machine a part of the subject.
 local function add_part(self, part)
   local fsm = part.fsm
-  part.known, part.positions, part.inner, part.position = {}, {}, {}, false
+  part.known, part.positions, part.position = {}, {}, false
   part.is_bound, part.may_pass, part.is_single = false, false, is_single(part)
   part.reads_one = reads_one(part)
   part.kept, part.keeps_order = kept.of(fsm), part.reads_one
-  if part.owner then insert(part.owner.inner, part) end
   part.occurrences, part.timed = {}, {}
   add_source(part)
   self.parts[#self.parts + 1] = part
