@@ -445,6 +445,7 @@ local function come(queue, occurrence)
 end
 
 local function put_coming(part, queue)
+  if not part.coming[1] then return end
   for _, occurrence in ipairs(part.coming) do come(queue, occurrence) end
   clear(part.coming)
 end
@@ -518,9 +519,8 @@ local function relevant(self, part, leaf, events)
   return (found.any or part.known[leaf].needs_no_event) and { events[1] } or list
 end
 
--- Returns a text with the numbers of the waiting events; empty if no event waits.
+-- Returns a text with the numbers of the waiting events.
 local function text_of_waiting(self, part, waiting)
-  if waiting[1] == nil then return "" end
   local numbers = {}
   for i, event in ipairs(waiting) do numbers[i] = self:number_of_event(event) end
   if not part.keeps_order then sort(numbers) end
@@ -529,16 +529,17 @@ end
 
 -- Returns the present position of a machine. Equal positions are the same table.
 local function read_position(self, part)
-  local leaf, values, data_text = part.fsm._act_leaf, false, ""
+  local leaf, queue, values = part.fsm._act_leaf, part.fsm._intq, false
   local known, mode = part.known[leaf], leaf and leaf._mode or "inactive"
-  local queue = part.fsm._intq
   for i = 1, #queue do queue[i] = self:event_of(queue[i]) end
-  local waiting = relevant(self, part, leaf, queue)
+  local waiting = queue[1] ~= nil and relevant(self, part, leaf, queue) or NOTHING
+  local text = mode
+  if waiting[1] ~= nil then text = text .. text_of_waiting(self, part, waiting) end
   if part.kept then
-    values, data_text = kept.read(part.kept, part.fsm, self.event_numbers)
-    data_text = ":" .. data_text
+    local more
+    values, more = kept.read(part.kept, part.fsm, self.event_numbers)
+    text = text .. ":" .. more
   end
-  local text = mode .. text_of_waiting(self, part, waiting) .. data_text
   local position = known.positions[text]
   if not position then
     position = { id = #part.positions + 1, leaf = leaf, known = known, mode = mode,
@@ -836,7 +837,7 @@ end
 --- May an event of a timer come once more while it waits? It may if the last step has
 --- entered its state anew. A machine that takes all events loses nothing by that.
 function Subject:may_come_twice()
-  for _, part in ipairs(self.parts) do
+  for _, part in ipairs(order.is_empty(self.entered) and NOTHING or self.parts) do
     for _, event in ipairs(part.reads_one and part.fsm._intq or NOTHING) do
       local own = not part.timed[event] and part.occurrences[event]
       if own and self.entered[own.state] and not own.is_repeated then return true end
