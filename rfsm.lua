@@ -323,11 +323,14 @@ do
   ---@return string? name
   function rfsm.event_name(predicate) return event_names[predicate] end
 
-  -- Returns the text of a value; its kind if the text would be an address.
+  -- Returns the text of a value; its kind if the text would have an address.
   local function identity_text(value)
     local kind, text = type(value), text_of(value)
+    if kind == "string" or kind == "number" then return text end
     if kind == "function" then return "a predicate" end
-    return (text == kind or text:find("^" .. kind .. ": ")) and "a " .. kind or text
+    local has_address = text == kind or text:find("^" .. kind .. ": ")
+      or text:find("0x%x%x%x%x%x%x")
+    return has_address and "a " .. kind or text
   end
 
   --- Return an event or predicate of a transition as text: its name if it has one.
@@ -677,7 +680,8 @@ end
 
 local is_foreign, model_of = rfsm.is_foreign, rfsm.model_of
 
-local FOREIGN = "it belongs to another copy of rfsm (give the model, not the machine)"
+local FOREIGN = "it belongs to another copy of rfsm"
+local FOREIGN_MACHINE = FOREIGN .. " (give the model, not the machine)"
 
 -- Is `value` a node of the machine, and of the given kind? Without `kind`, of any kind.
 local function is_node_of(fsm, value, kind)
@@ -890,10 +894,10 @@ do
     local has_transition, own_kind = false, kind_of(node)
     for key, value in pairs(fields_of(node._model)) do -- any order: sorted later
       local kind = type(value) == "table" and kind_of(value)
-      if not kind then
+      if is_foreign(value) then
+        add(build.problems, node, text_of(key), kind and FOREIGN_MACHINE or FOREIGN)
+      elseif not kind then
         clone_field(build, own_kind, node, key, value)
-      elseif is_foreign(value) then
-        add(build.problems, node, text_of(key), FOREIGN)
       elseif own_kind == "connector" then
         add_warning(build.warnings, "misplaced", node, nil,
           words("in a connector", kind, text_of(key)))
@@ -3165,7 +3169,7 @@ function rfsm.init(model)
   end
   model = model_of(model)
   if is_foreign(model) then
-    return refuse_model(model, nil, { "root: " .. FOREIGN })
+    return refuse_model(model, nil, { "root: " .. FOREIGN_MACHINE })
   end
   local build = engine.build_machine(model)
   local fsm, problems = build.fsm, (engine.lines_of(build.problems))
@@ -3196,7 +3200,9 @@ function rfsm.verify_early(model)
   if not is_state(model) then
     error("rfsm.verify_early: state expected, " .. got(model), 2)
   end
-  local build = engine.build_machine(model_of(model))
+  model = model_of(model)
+  if is_foreign(model) then return false, { "root: " .. FOREIGN_MACHINE }, {}, {} end
+  local build = engine.build_machine(model)
   local warnings, codes = engine.lines_of(build.warnings)
   return not build.problems[1], (engine.lines_of(build.problems)), warnings, codes
 end

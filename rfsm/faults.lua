@@ -68,12 +68,12 @@ local function send(fsm, failing, states, owner, callback, failure)
   local element = owner._fqn or tostring(owner)
   local region = failing ~= fsm and place_of(fsm, failing).prefix or nil
   if not states[1] or is_known(fsm, element, region) then return end
-  local trace, queue = traceback(owner), {}
+  local trace, message, queue = traceback(owner), rfsm.event_text(failure, true), {}
   for i, event in ipairs(fsm._intq) do queue[i] = event end
   local count = #queue
   for i, state in ipairs(states) do
     queue[count + i] = { name = name_of(state), callback = callback, element = element,
-      region = region, message = rfsm.text_of(failure), traceback = trace }
+      region = region, message = message, traceback = trace }
   end
   fsm._intq = queue -- all at once: after an interrupt none or all of them are known
   -- a printer may send events, which follow them

@@ -497,6 +497,7 @@ end
 --- Have a machine warn of suspicious events, fields and runs.
 ---@param fsm rfsm.Machine
 function strict.watch(fsm)
+  rfsm.check_machine(fsm, "rfsm.strict.watch")
   if not latest then
     latest = fsm
     watch_calls()

@@ -37,6 +37,11 @@ describe("the text of an event", function()
     { "many fields", { name = "e_m", a = ("a"):rep(24), b = ("b"):rep(24),
       c = ("c"):rep(24) }, "e_m", 'e_m{a="' .. ("a"):rep(24) .. '",b="'
         .. ("b"):rep(24) .. '",..}' },
+    { "a text as of an address", "table: 0x1", "table: 0x1", "table: 0x1" },
+    { "the name of a type", "string", "string", "string" },
+    { "a class with a name", setmetatable({}, { __name = "Coin" }), "a table",
+      "a table" },
+    { "a file", io.stdout, "a userdata", "a userdata" },
     { "a key that is too long", { name = "e_k", [("k"):rep(99)] = 1 }, "e_k",
       "e_k{..}" },
   } do
@@ -97,6 +102,19 @@ describe("an event with data", function()
     local list, text = checks.enabled(machine())
     assert.same({ named "e_paid", any = false }, list)
     assert.equal("e_paid", text)
+  end)
+
+  it("is enabled if there is a way through connectors, whatever guards say", function()
+    local function enabled(events)
+      local model = chart "e_paid"
+      model[2].guard, model[3].events = function() return false end, events
+      local fsm = helper.init(model)
+      rfsm.run(fsm)
+      return (checks.enabled(fsm))
+    end
+    assert.same({ any = false }, enabled { "e_paid" })
+    assert.same({ named "e_paid", any = false },
+      enabled { "e_x", named "e_paid" })
   end)
 
   it("is in the names of transitions", function()

@@ -11,7 +11,7 @@ local arrows = house.arrows(files, file_of)
 local KNOWN_ABOVE = {
   ["rfsm.lua rfsm_seqand"] = true, ["rfsm.lua rfsmpp"] = true,
   ["rfsm.lua rfsm.strict"] = true, ["rfsm/advice.lua rfsm_timeevent"] = true,
-  ["rfsm/advice.lua rfsm_await"] = true, ["rfsm/advice.lua rfsm.faults"] = true,
+  ["rfsm/advice.lua rfsm.await"] = true, ["rfsm/advice.lua rfsm.faults"] = true,
 }
 
 -- Lists the arrows for which `pred` holds, as "rfsm/a.lua -> rfsm.b".

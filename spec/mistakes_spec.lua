@@ -198,7 +198,7 @@ local MISTAKES = [[
 --W T.events (a -> b): no loaded extension knows 'e_at(1)' (require "rfsm_timeevent")
   rfsm.trans { src = "a", tgt = "b", events = { "await(e_a, e_b)" } },
 --W T.events (a -> b): no loaded extension knows 'await(e_a, e_b)' (require
-    "rfsm_await")
+    "rfsm.await")
   rfsm.trans { src = "a", tgt = "b", events = { "after(1)" } },
 --W T.events (a -> b): no loaded extension knows 'after(1)' (did you mean
     'e_after(...)'?)

@@ -1334,21 +1334,26 @@ it("a folder is no recording, and the message says so", function()
 end)
 
 describe("a fault", function()
-  it("is the same one in a replay, whose traceback has other lines", function()
-    local function model()
-      return state { info = false, warn = false, err = false, a = state {},
-        b = state { entry = function() error("no bulb", 0) end }, c = state {},
-        trans { src = "initial", tgt = "a" },
-        trans { src = "a", tgt = "b", events = { "e_b" } },
-        trans { src = "b", tgt = "c", events = { "e_fault" } } }
-    end
-    local sink, fsm = {}, helper.started(model())
-    record.record(fsm, sink)
-    helper.post_and_run(fsm, "e_b")
-    rfsm.run(fsm)
-    assert.equal("root.c", rfsm.get_actleaf_fqn(fsm))
-    assert.equal("root.c", rfsm.get_actleaf_fqn(assert(record.replay(model(), sink))))
-  end)
+  for _, make in ipairs { function() return "no bulb" end,
+    function() return { code = 3 } end,
+    function() return setmetatable({}, { __name = "Coin" }) end } do
+    it("is the same one in a replay, whose traceback has other lines: "
+      .. rfsm.event_text(make(), true), function()
+      local function model()
+        return state { info = false, warn = false, err = false, a = state {},
+          b = state { entry = function() error(make(), 0) end }, c = state {},
+          trans { src = "initial", tgt = "a" },
+          trans { src = "a", tgt = "b", events = { "e_b" } },
+          trans { src = "b", tgt = "c", events = { "e_fault" } } }
+      end
+      local sink, fsm = {}, helper.started(model())
+      record.record(fsm, sink)
+      helper.post_and_run(fsm, "e_b")
+      rfsm.run(fsm)
+      assert.equal("root.c", rfsm.get_actleaf_fqn(fsm))
+      assert.equal("root.c", rfsm.get_actleaf_fqn(assert(record.replay(model(), sink))))
+    end)
+  end
 end)
 
 describe("a recording that begins with a timer armed", function()

@@ -369,7 +369,8 @@ describe("a hint", function()
   end)
 
   it("names the module of an event that looks like a call", function()
-    helper.with(package.loaded, { rfsm_timeevent = false, rfsm_await = {} }, function()
+    helper.with(package.loaded, { rfsm_timeevent = false, ["rfsm.await"] = {},
+      rfsm_await = false }, function()
       for word, hint in pairs { -- any order: each stands alone
         e_after = ' (require "rfsm_timeevent")', e_at = ' (require "rfsm_timeevent")',
         e_aftr = " (did you mean 'e_after(...)'?)",

@@ -686,7 +686,7 @@ describe("rfsm-check", function()
     local warning = "FILE:%d: warning: root.trans[%d] (%s): the chart does not load "
       .. "the extension that knows '%s' (require %q) [unknown-word]\n"
     local of_time = warning:format(5, 2, "a -> b", "e_after(2)", "rfsm_timeevent")
-    local of_await = warning:format(6, 3, "b -> a", "await(e_a)", "rfsm_await")
+    local of_await = warning:format(6, 3, "b -> a", "await(e_a)", "rfsm.await")
     checks(text, of_time .. of_await, 0)
     checks("require 'rfsm.timeevent'" .. text, of_await, 0)
     checks("local _ = rfsm_timeevent" .. text, of_await, 0)

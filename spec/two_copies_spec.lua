@@ -66,9 +66,9 @@ for pattern, what in pairs { [ALL] = "a library", [CORE] = "a core" } do -- any 
         print(rfsm.get_actleaf_fqn(fsm)) ]]))
     end)
 
-    it("warns of the regions of the other copy", function()
-      assert.equal("WARNING: root.c.substates: it belongs to another copy of rfsm",
-        output_of(pattern, [[
+    it("refuses the regions of the other copy", function()
+      assert.equal("rfsm.init: the model has 1 problem\n  root.c.substates: it belongs "
+        .. "to another copy of rfsm", output_of(pattern, [[
         rfsm.init(model(rfsm, "e", {
           c = other_seqand.new { x = model(other, "e") },
           t = rfsm.trans { src = "b", tgt = "c" },
@@ -82,6 +82,14 @@ for pattern, what in pairs { [ALL] = "a library", [CORE] = "a core" } do -- any 
         local machine = other.init(model(other, "e"))
         assert(rfsm.init(machine) == false)
         assert(rfsm.init(model(rfsm, "e", { c = machine })) == false) ]]))
+    end)
+
+    it("refuses to check or watch a machine of the other copy", function()
+      assert.equal("root: " .. FOREIGN .. "\nrfsm.strict.watch: initialised "
+        .. "fsm expected, got state of another copy of rfsm", output_of(pattern, [[
+        local machine = other.init(model(other, "e"))
+        print(require "rfsm_checks".check(machine)[1])
+        print(select(2, pcall(require "rfsm.strict".watch, machine))) ]]))
     end)
 
     it("refuses to run a machine of the other copy, which its own copy runs", function()

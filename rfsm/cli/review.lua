@@ -255,7 +255,7 @@ local function add_missing_extensions(findings, fsm, required, file)
   for entry, tr in location.each(fsm, rfsm.is_trans) do
     for _, event in ipairs(tr.events or {}) do
       local module = match.maker_of(event) and advice.module_for(event)
-      if module and not required[module] then
+      if module and not required[module:gsub("%.", "_")] then
         local text = "the chart does not load the extension that knows '%s' "
           .. "(require %q)"
         local finding = findings:add("unknown-word", tr,

@@ -97,6 +97,7 @@ local function name_of(tgt) return rfsm.is_node(tgt) and tgt._fqn or text_of(tgt
 -- Calls the guard hooks of extensions, then the guard. Returns the verdict and the
 -- reason in words if one of them forbids the transition; else nil.
 local function ask_guards(search, tr, event)
+  if search.is_unasked then return nil end
   local hooks = search.fsm._guard_hooks and search.fsm._guard_hooks[tr] or {}
   for i = 1, #hooks + (tr.guard and 1 or 0) do
     local ok, answer = calls.try(hooks[i] or tr.guard, tr, search.events, event)
@@ -186,7 +187,8 @@ local function add_answers_of(fsm, search, answers, winner)
   return winner, search.taker
 end
 
-local function answers_of(fsm, events)
+-- Guards are not asked if `is_unasked`.
+local function answers_of(fsm, events, is_unasked)
   events = match.joined(events, select(2, rfsm.foretell(fsm, events)))
   local answers, winner, first, taker = {}, false
   if fsm._act_leaf then
@@ -194,7 +196,8 @@ local function answers_of(fsm, events)
       needs_none = true }, answers, winner)
   end
   winner, taker = add_answers_of(fsm, { fsm = fsm, events = events, found = {},
-    needs_none = false, is_mute = fsm._act_leaf and events[1] == nil }, answers, winner)
+    needs_none = false, is_mute = fsm._act_leaf and events[1] == nil,
+    is_unasked = is_unasked }, answers, winner)
   return answers, winner, first or taker
 end
 
@@ -300,34 +303,25 @@ end
 -- This table represents every event that is in no transition.
 local OTHER = setmetatable({}, { __tostring = function() return "any other event" end })
 
--- May an active state take an event with data, by its name? Its guard is not asked,
--- since it may read the data.
-local function may_take(fsm, predicate)
-  return rfsm.event_name(predicate)
-    and order.any(location.transitions(fsm, fsm._act_leaf), function(tr)
-      return match.names(tr, predicate)
-    end)
-end
-
 -- Appends the events on which the machine, or a region of its leaf, takes a transition.
 -- Each event is tried, even if a transition reacts to any event, since its guard may
--- refuse some events.
+-- refuse some events. A guard may read the data of an event, so it is not asked then.
 local function add_enabled(list, is_listed, fsm)
-  local takes_any = select(2, answers_of(fsm, { OTHER })) and true
-  local known = alphabet.of(fsm)
-  for _, event in ipairs(match.joined(known.list, known.reactions)) do
-    if not is_listed[event] and select(2, answers_of(fsm, { event })) then
+  local function add(event, sample, is_unasked)
+    if not is_listed[event] and select(2, answers_of(fsm, { sample }, is_unasked)) then
       is_listed[event] = true
       list[#list + 1] = event
     end
   end
-  for _, predicate in ipairs(known.predicates) do
-    if not is_listed[predicate] and may_take(fsm, predicate) then
-      is_listed[predicate] = true
-      list[#list + 1] = predicate
-    end
+  local known = alphabet.of(fsm)
+  list.any = list.any or select(2, answers_of(fsm, { OTHER })) and true
+  for _, event in ipairs(match.joined(known.list, known.reactions)) do
+    add(event, event)
   end
-  list.any = list.any or takes_any
+  for _, predicate in ipairs(known.predicates) do
+    local name = rfsm.event_name(predicate)
+    if name then add(predicate, { name = name }, true) end
+  end
   for _, region in ipairs((stepped_regions(fsm))) do
     add_enabled(list, is_listed, region.machine)
   end
