@@ -494,7 +494,7 @@ describe("a callback whose text is not known", function()
     return load_text(string.dump(assert(load_text(text)), true))()
   end
 
-  local UNKNOWN = "what the effect root.trans[2] does, whose text is not known, and "
+  local UNKNOWN = "what the effect root.trans[2] does, which no text shows, and "
     .. "%d more callbacks"
 
   -- The verdict on `never root.bad` if the guard is run, and what was not tried.
@@ -544,8 +544,49 @@ describe("a callback whose text is not known", function()
       setmetatable({}, { __call = call }), assert(load_text("x = 1", "=chunk")) }
     for i, effect in ipairs(EFFECTS) do
       local _, untried = judged(counting(effect), {})
-      assert.equal("what the effect root.trans[2] does, whose text is not known",
+      assert.equal("what the effect root.trans[2] does, which no text shows",
         untried, i)
+    end
+  end)
+
+  local set = function(fsm) fsm.n = 3 end
+
+  it("is not known either if it calls what it does not name", function()
+    local list, arm = { set }, { set = set }
+    local EFFECTS = {
+      function(fsm) fsm.set(fsm) end, function(fsm) fsm:set() end,
+      function(_, tr) tr.set(tr) end, function(fsm) list[1](fsm) end,
+      function(fsm) for _, f in ipairs(list) do f(fsm) end end,
+      function(fsm) for _, f in ipairs(list) do pcall(f, fsm) end end,
+      function(fsm) local own = arm own.set(fsm) end,
+      function(fsm) local f = arm.set f "x" return fsm end,
+      function(fsm) (fsm and arm).set(fsm) end,
+      function(fsm) arm["s" .. "et"](fsm) end,
+      function(fsm) require "rfsm.shared.code".of(fsm) end,
+      setmetatable({ set = set }, { __call = function(own, fsm) own.set(fsm) end }),
+    }
+    for i, effect in ipairs(EFFECTS) do
+      local model = counting(effect, nil, { [3] = go("a", "b", "e_y") })
+      local holds, untried = judged(model, {})
+      assert.same({ i, nil, "what the effect root.trans[2] does, which no text shows" },
+        { i, holds, untried })
+    end
+  end)
+
+  it("is that of a class, too, if it is used", function()
+    local class = {}
+    local function is_three(tr) return tr._fsm.n >= 3 end
+    for _, name in ipairs { "__call", "__index", "__newindex" } do
+      class[name] = function(_, fsm) set(fsm) end
+    end
+    local arm = setmetatable({}, class)
+    local EFFECTS = { function(fsm) arm(fsm) end,
+      function(fsm) return fsm, arm.x end, function(fsm) arm.x = fsm end }
+    for i, effect in ipairs(EFFECTS) do
+      local holds, untried = judged(counting(effect, is_three), { run = { is_three },
+        vars = { n = { 0, 3 } } })
+      assert.same({ i, nil, "data that the effect root.trans[2] may write, which is "
+        .. "not run" }, { i, holds, untried })
     end
   end)
 
@@ -554,6 +595,12 @@ describe("a callback whose text is not known", function()
     local monitor = require "rfsm.monitor"
     local EFFECTS = { print, rfsm.prepare, function() host() end,
       function(fsm) fsm.d.n = #tostring(fsm) end,
+      function(fsm, tr)
+        local function double(x) return 2 * x end
+        fsm.emit "e_told"
+        print(("%d"):rep(double(2)), tr:type() .. " of " .. tostring(fsm):upper())
+        print(string.format("%s", _G.no_robot and _G.no_robot.arm.move(fsm)))
+      end,
       assert(load_text("\nlocal x = 1\nreturn x")),
       monitor.gen_monitor_state { montab = {} }.doo }
     for i, effect in ipairs(EFFECTS) do
@@ -703,7 +750,7 @@ describe("a callback that is run", function()
       end,
       function(...) return type((select(2, ...))[1]) == "table" end,
       Payment.is_enough, check,
-      function(_, events) return rawget(_G, "no_robot").is_ready(events) end,
+      function(_, events) return _G.no_robot.is_ready(events) end,
     }
     for i, guard in ipairs(GUARDS) do
       assert.same({ i, false, false, "one event a step; guards free" },

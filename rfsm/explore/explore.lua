@@ -650,7 +650,7 @@ local function note_gaps(walk)
   local own = walk.subject
   local count, first = #own.unknown, own.unknown[1]
   if first then
-    walk:note_untried("texts", ("what the %s does, whose text is not known%s"):format(
+    walk:note_untried("texts", ("what the %s does, which no text shows%s"):format(
       first, count > 1 and (", and %d more callbacks"):format(count - 1) or ""))
   end
   local function add(names, bound, text)

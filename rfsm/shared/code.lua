@@ -32,12 +32,12 @@ end
 -- Patterns for the beginning of a comment, a long string and a quoted string.
 local OPENINGS = { "%-%-", "%[=*%[", "[\"']" }
 
---- Return a text with blanks in place of comments, and of strings unless `has_strings`.
---- Each line keeps its number.
+--- Return a text with blanks in place of comments and strings, so that each line keeps
+--- its number. If `strings` is true, strings stay; a text stands for each of them.
 ---@param text string
----@param has_strings? boolean
+---@param strings? string|true
 ---@return string code
-function code.of(text, has_strings)
+function code.of(text, strings)
   local parts, at, next_ones = {}, 1, {}
   while true do
     local from, is_comment = #text + 1
@@ -48,8 +48,8 @@ function code.of(text, has_strings)
     if from > #text then break end
     local last = end_of_token(text, from)
     local token = text:sub(from, last)
-    local stays = has_strings and not is_comment
-    parts[#parts + 1] = text:sub(at, from - 1) .. (stays and token or blank(token))
+    local kept = not is_comment and (strings == true and token or strings)
+    parts[#parts + 1] = text:sub(at, from - 1) .. (kept or blank(token))
     at = last + 1
   end
   parts[#parts + 1] = text:sub(at)

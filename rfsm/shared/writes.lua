@@ -166,35 +166,88 @@ function writes.names_in(text)
   return list
 end
 
--- Returns a field of a table, also one that its class has.
+-- Returns a field of a table, also one that its class has; the function that its class
+-- calls for it.
 local function field_of(owner, name)
   for _ = 1, 10 do
-    if type(owner) ~= "table" then return nil end
+    if type(owner) ~= "table" then return type(owner) == "function" and owner or nil end
     local value, class = rawget(owner, name), getmetatable(owner)
     if value ~= nil then return value end
     owner = type(class) == "table" and rawget(class, "__index")
   end
 end
 
+-- Returns a text with points in place of plain keys, and without blanks around points:
+-- arm.tool for arm["tool"].
+local function dotted(text)
+  return (text:gsub("%.%.+", ",")
+    :gsub("%[%s*[\"']([%a_][%w_]*)[\"']%s*%]", ".%1"):gsub("%s*([.:])%s*", "%1"))
+end
+
 -- Lists the functions that a text names: upvalues, globals, and what is behind points
 -- and colons: "arm.tool:open", arm["tool"].
 local function called_by(text, upvalues)
   local list = {}
-  local function add(value)
-    if type(value) == "function" then list[#list + 1] = value end
-  end
+  local function add(value) list[#list + 1] = function_of(value) end
   for _, name in ipairs(rfsm.sorted_keys(upvalues)) do add(upvalues[name]) end
   for _, name in ipairs(writes.names_in(text)) do add(rawget(_G, name)) end
-  text = text:gsub("%.%.+", " "):gsub("%[%s*[\"']([%a_][%w_]*)[\"']%s*%]", ".%1")
-    :gsub("%s*([.:])%s*", "%1")
-  for base, rest in text:gmatch("%f[%w_]([%a_][%w_]*)([.:][%w_.:]*)") do
-    local value = upvalues[base] or rawget(_G, base)
+  local path = "%f[%w_]([%a_][%w_]*)([.:][%w_.:]*)%s*(=?)"
+  for base, rest, sign in dotted(text):gmatch(path) do
+    local value, class = upvalues[base] or rawget(_G, base), nil
     for name in rest:gmatch("[%w_]+") do
+      class = type(value) == "table" and getmetatable(value)
       value = field_of(value, name)
       add(value)
     end
+    if sign == "=" and type(class) == "table" then add(rawget(class, "__newindex")) end
   end
   return list
+end
+
+-- Methods of texts, and functions in a chart, that may be called through any variable.
+local HARMLESS = {}
+for name in ([[:byte :find :format :gmatch :gsub :len :lower :match :rep :sub :upper
+  :type .emit .dbg .err .info .warn]]):gmatch("%S+") do
+  HARMLESS[name] = true
+end
+
+-- Returns the set of the parameters and local variables in a text.
+local function locals_in(text)
+  local found = {}
+  for _, before in ipairs { "function[%s%w_.:]*%(", "local%s", "for%s" } do
+    for at in text:gmatch("%f[%w_]" .. before .. "()") do
+      for name in text:match("^[%s%w_,]*", at):gsub("([%w_])%s+[%w_].*", "%1")
+        :gmatch("[%w_]+") do
+        found[name] = true
+      end
+    end
+  end
+  return found
+end
+
+-- Does a text call what it does not name: a parameter, a field of one, what another
+-- call returns, or a local variable that is no function in the text?
+local function calls_unnamed(text)
+  text = code.of(dotted(text), '""')
+  local is_local = locals_in(text)
+  for _, caller in ipairs { "x?pcall", "coroutine%.wrap", "coroutine%.create" } do
+    text = text:gsub("%f[%w_]" .. caller .. "%s*%(%s*([%w_.:]+)", "%1(")
+  end
+  local functions = text
+  text = text:gsub("%f[%w_]function[%s%w_.:]*%b()", ";")
+  for base, rest in text:gmatch("%f[%w_.:]([%a_][%w_]*)([%w_.:]*)%s*[({\"]") do
+    local path = base .. rest:gsub("%p", "%%%0")
+    local is_there = functions:find("%f[%w_]function%s+" .. path .. "%f[^%w_]")
+      or functions:find("%f[%w_]" .. path .. "%s*=%s*function%f[^%w_]")
+    if is_local[base] and not (is_there or HARMLESS[rest:match("[.:][%w_]+$")]) then
+      return true
+    end
+  end
+  for rest in text:gmatch("[)%]\"]%s*([.:%w_]*)%s*[({]") do
+    local is_next = rest:find("^[%w_]") -- of the next statement
+    if not (is_next or HARMLESS[rest:match("[.:][%w_]+$")]) then return true end
+  end
+  return false
 end
 
 -- Assignments .......................................................................
@@ -289,13 +342,13 @@ end
 -- Is it a function of C? If a callback calls one, the callback is still known.
 local function is_foreign(f) return getinfo and getinfo(f, "S").what == "C" end
 
---- Is it known what a callback writes, as far as texts show it?
+--- Is it known what a callback does, as far as texts show it?
 ---@param callback any
 ---@return boolean
 function writes.is_known(callback)
   return is_known(function_of(callback)) and not writes.each(callback,
     function(text, _, upvalues)
-      return order.any(called_by(text, upvalues), function(f)
+      return calls_unnamed(text) or order.any(called_by(text, upvalues), function(f)
         return not (is_foreign(f) or is_known(f))
       end)
     end, {})
