@@ -241,12 +241,18 @@ local function leave_others(fsm, state)
   end
 end
 
+-- The doo waits while each iteration takes a transition. Regions for which more events
+-- than this have come meanwhile do not wait.
+local MOST = 64
+
 -- The post step hook forwards the events of the iteration to the regions of the state
 -- that is active now, unless its doo has done so or is over.
 local function end_iteration(fsm)
   local leaf = fsm._act_leaf
   local regions = leaf and leaf._mode ~= "done" and leaf._regions
-  if regions then forward(fsm, regions) end
+  if not regions or regions.turn == fsm._turn then return end
+  forward(fsm, regions)
+  if regions[1] and #regions[1]._intq > MOST then try(fsm, advance_all, fsm, leaf) end
 end
 
 local function reset(fsm)

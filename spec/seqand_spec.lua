@@ -563,6 +563,27 @@ describe("nesting", function()
     end
     assert.same({ 3, 1, 3 }, counts)
   end)
+
+  it("is not kept waiting for ever by transitions that are taken around it", function()
+    local now, most = 0, 0
+    local inner = state { warn = false, info = false, a = state {}, b = state {},
+      trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = "e_after(1)" } }
+    local model = parent(seqand { inner = inner })
+    model[4] = trans { src = "par", tgt = "internal", events = "e_busy" }
+    function model.gettime() return now, 0 end
+    local fsm = init(model)
+    rfsm.run(fsm)
+    local machine = fsm.par.substates.inner
+    for second = 1, 200 do
+      now = second
+      rfsm.send_events(fsm, "e_busy")
+      rfsm.step(fsm)
+      most = math.max(most, #machine._intq)
+    end
+    assert.equal("root.b", rfsm.get_actleaf_fqn(machine))
+    assert.is_true(most <= 65)
+  end)
 end)
 
 describe("a machine given as a region", function()
