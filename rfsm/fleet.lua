@@ -18,13 +18,13 @@ local connection = require "rfsm.redis.connection"
 local codec = require "rfsm.server.codec"
 local keys_of = require "rfsm.server.keys"
 local opts = require "rfsm.shared.options"
+local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 
 local error, ipairs, pcall = error, ipairs, try
 local pairs, rawget, rawset = pairs, rawget, rawset
 local setmetatable, type = setmetatable, type
-local concat, insert = table.concat, table.insert
-local sort = table.sort
+local concat, sort = table.concat, table.sort
 local max, min = math.max, math.min
 local unpack = rawget(table, "unpack") or rawget(_G, "unpack")
 
@@ -315,9 +315,8 @@ local function each_group(self, f, pattern)
       local groups = {}
       for _, key in ipairs(reply[2]) do
         if not seen[key] and pcall(keys_of.machine, { key }) then
-          local tag = keys_of.tag(key)
-          groups[tag] = groups[tag] or {}
-          groups[tag][#groups[tag] + 1], seen[key] = key, true
+          order.append(groups, keys_of.tag(key), key)
+          seen[key] = true
         end
       end
       for _, tag in ipairs(rfsm.sorted_keys(groups)) do f(call, groups[tag]) end
@@ -367,8 +366,7 @@ function Fleet:charts()
   if not list then return nil, problem end
   local charts = {}
   for i = 1, #list, 2 do
-    charts[list[i]] = charts[list[i]] or {}
-    insert(charts[list[i]], list[i + 1])
+    order.append(charts, list[i], list[i + 1])
   end
   return charts
 end

@@ -13,6 +13,7 @@ local digits_of = require("rfsm.shared.exact_json").digits_of
 local files = require "rfsm.shared.files"
 local instrument = require "rfsm.shared.instrument"
 local location = require "rfsm.shared.location"
+local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 
 local io, ipairs, rawget, rawset = rawget(_G, "io"), ipairs, rawget, rawset
@@ -64,12 +65,6 @@ local marsh = {}
 
 -- Order: a walk from `initial` ------------------------------------------------
 
-local function append(lists, key, value)
-  local list = lists[key] or {}
-  lists[key] = list
-  list[#list + 1] = value
-end
-
 -- Returns the target that a transition has in the model; history may change `tr.tgt`.
 local function target_of(tr) return rfsm.targets(tr)[1] end
 
@@ -84,9 +79,9 @@ local function note_links(tr, links, entries)
   child = tr.src
   while not (rfsm.is_root(child) or around[child._parent]) do child = child._parent end
   local home = not rfsm.is_root(child) and child._parent
-  if home and around[home] ~= child then append(links, child, around[home]) end
+  if home and around[home] ~= child then order.append(links, child, around[home]) end
   while not rfsm.is_root(tgt) and tgt._parent ~= home do
-    append(entries, tgt._parent, tgt)
+    order.append(entries, tgt._parent, tgt)
     tgt = tgt._parent
   end
 end
@@ -95,10 +90,10 @@ local function members_of(fsm)
   local transitions, nodes, links, entries = {}, {}, {}, {}
   rfsm.mapfsm(function(element, composite)
     if rfsm.is_trans(element) then
-      append(transitions, composite, element)
+      order.append(transitions, composite, element)
       note_links(element, links, entries)
     elseif element ~= fsm then
-      append(nodes, composite, element)
+      order.append(nodes, composite, element)
     end
   end, fsm)
   return transitions, nodes, links, entries
@@ -113,23 +108,23 @@ local function new_walk(fsm)
   return function(composite)
     local nodes = nodes_in[composite]
     if not nodes then return nil end
-    local order, is_listed, done, count = {}, {}, 0, 0
+    local walked, is_listed, done, count = {}, {}, 0, 0
     local function add(node)
       if is_listed[node] then return end
       count = count + 1
-      order[count], is_listed[node] = node, true
+      walked[count], is_listed[node] = node, true
     end
     local function start(node)
       add(node)
       while done < count do
         done = done + 1
-        for _, tgt in ipairs(links[order[done]] or {}) do add(tgt) end
+        for _, tgt in ipairs(links[walked[done]] or {}) do add(tgt) end
       end
     end
     for _, node in ipairs(nodes) do if node._id == "initial" then start(node) end end
     for _, node in ipairs(entries[composite] or {}) do start(node) end
     for _, node in ipairs(nodes) do start(node) end
-    return order
+    return walked
   end, transitions
 end
 

@@ -377,7 +377,7 @@ local function attach(fsm, server)
   instrument.hook(hooks, fsm, "pre_step", before_step, "before")
   instrument.hook(hooks, fsm, "post_step", after_step)
   instrument.hook(hooks, fsm, "reset", after_reset)
-  instrument.hook_of(hooks, fsm, "watch", "merged", after_merge)
+  instrument.hook(hooks, fsm, "watch", "merged", after_merge)
 end
 
 -- Public functions ------------------------------------------------------------

@@ -18,6 +18,7 @@ local clock = require "rfsm.clock"
 local journal = require "rfsm.record.journal"
 local encoding = require "rfsm.snapshot.encoding"
 local opts = require "rfsm.shared.options"
+local order = require "rfsm.shared.order"
 local replay = require "rfsm.record.replay"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
@@ -99,7 +100,7 @@ function listener.gettime(recorder, track, gettime)
     local time, sec, nsec = clock.read(other, is_relative)
     local rec = recorder.timed or track.fsm._phase ~= "idle" and recorder.early
     if rec then
-      tracks.note(rec, "clock", time and { encoding.pack(sec),
+      order.append(rec, "clock", time and { encoding.pack(sec),
         encoding.pack(nsec) } or { text_of(sec) })
     end
     return time ~= false, sec, nsec
@@ -128,7 +129,7 @@ local function note_change(track, rec, field)
   local kept = encoding.attempt(snapshot.take_data, track.fsm)
   if kept and not tracks.same(kept, track.kept) then
     if field == "regions" then
-      tracks.note(rec, field, track.m, kept)
+      order.append(rec, field, track.m, kept)
     else
       rec[field] = kept
     end
@@ -213,9 +214,9 @@ local function note_queue(track, count)
   local n, is_all = tracks.note_queue(track, count)
   track.first = nil
   if is_all then return end
-  tracks.note(track.rec, "waiting", n)
+  order.append(track.rec, "waiting", n)
   for i = n + 1, #track.held do
-    tracks.note(track.rec, "waiting", tracks.pack_event(track.held[i]))
+    order.append(track.rec, "waiting", tracks.pack_event(track.held[i]))
   end
 end
 
@@ -267,7 +268,7 @@ local function note_events(track, rec, events)
   rec.sent, rec.added = tracks.pack_events(sent), nil
   rec.ahead = ahead > 0 and ahead or nil
   for i = (rec.events and #rec.events or 0) + 1, #events do
-    tracks.note(rec, "added", tracks.pack_event(events[i]))
+    order.append(rec, "added", tracks.pack_event(events[i]))
   end
 end
 
@@ -288,7 +289,7 @@ function listener.finished(recorder, track, events)
   rec.always = track.is_free or nil
   track.rec, track.is_free = false, false -- a later reset is not noted in this record
   if track.m ~= nil then
-    if outer then tracks.note(outer, "inner", rec) end
+    if outer then order.append(outer, "inner", rec) end
     return
   end
   recorder.timed, recorder.early = false, {} -- a host may read the clock, too
@@ -301,7 +302,7 @@ end
 function listener.guard(_, track, number, guard, tr, events, event)
   local ok, answer = calls.try(guard, tr, events, event)
   if track.rec then
-    tracks.note(track.rec, "guards", number, ok and answer ~= false or not ok
+    order.append(track.rec, "guards", number, ok and answer ~= false or not ok
       and text_of(answer))
   end
   if ok then return answer end

@@ -198,10 +198,7 @@ end
 local function index_of(list)
   local index = {}
   for i, event in ipairs(list) do
-    each_shape(event, function(shape)
-      index[shape] = index[shape] or {}
-      table.insert(index[shape], i)
-    end)
+    each_shape(event, function(shape) order.append(index, shape, i) end)
   end
   return index
 end

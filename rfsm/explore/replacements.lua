@@ -418,8 +418,7 @@ local function set_flag(self, names, number, value)
   for _, name in ipairs(names or {}) do
     local of = is_callback_name(name) and self.flags_of or self.flags_of_event
     name = not is_callback_name(name) and rfsm.event_name(name) or name
-    of[name] = of[name] or {}
-    table.insert(of[name], { number = number, value = value })
+    order.append(of, name, { number = number, value = value })
   end
 end
 

@@ -57,7 +57,7 @@ end
 
 local function attach_state(own, at, state, kind, f)
   if not f then return end
-  instrument.hook_of(own.changes, at.machine, kind, state,
+  instrument.hook(own.changes, at.machine, kind, state,
     hook_for(own, at, function(_, element) f(at, element) end))
 end
 
@@ -74,7 +74,7 @@ local function attach_transition(own, at, tr)
       if not rawequal(asked, tr) or at.machine._phase ~= "always" then return true end
       return listener.free(at, tr)
     end
-    instrument.hook_of(own.changes, at.machine, "guard", tr, rfsm.borrows(look))
+    instrument.hook(own.changes, at.machine, "guard", tr, look)
   end
 end
 
@@ -109,14 +109,14 @@ local function attach(own, at)
   local listener, fsm, changes = own.listener, at.machine, own.changes
   for _, what in ipairs(WATCHED) do
     local f = listener[what]
-    if f then instrument.hook_of(changes, fsm, "watch", what, hook_for(own, at, f)) end
+    if f then instrument.hook(changes, fsm, "watch", what, hook_for(own, at, f)) end
   end
   local function merge(_, element)
     join(own)
     attach_elements(own, at, element)
     if listener.merged then listener.merged(at, element) end
   end
-  instrument.hook_of(changes, fsm, "watch", "merged", hook_for(own, at, merge))
+  instrument.hook(changes, fsm, "watch", "merged", hook_for(own, at, merge))
   attach_elements(own, at, fsm)
   if listener.taken then
     instrument.hook(changes, fsm, "path", hook_for(own, at, function(_, path)

@@ -142,7 +142,7 @@ local function hand_out(session, inner)
   end
   for _, rec in ipairs(inner) do
     local track = session.tracks[rec.m + 1]
-    if track then tracks.note(track, "records", rec) end
+    if track then order.append(track, "records", rec) end
   end
 end
 
@@ -344,7 +344,7 @@ local function numbers_of(track, session)
   local then_texts = session.guards and session.guards[(track.m or 0) + 1] or {}
   for number, tr in ipairs(rfsm.elements(track.fsm, rfsm.is_trans)) do
     local text = tostring(tr)
-    if tr.guard then tracks.note(now, text, number) end
+    if tr.guard then order.append(now, text, number) end
   end
   for i = 1, #then_texts, 2 do
     local same_texts = now[then_texts[i + 1]]

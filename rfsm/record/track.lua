@@ -15,7 +15,7 @@ local instrument = require "rfsm.shared.instrument"
 local stream = require "rfsm.observe.stream"
 
 local ipairs = ipairs
-local rawequal, rawget, select, tostring = rawequal, rawget, select, tostring
+local rawequal, rawget, tostring = rawequal, rawget, tostring
 local type = type
 local concat, max = table.concat, math.max
 local text_of = rfsm.text_of
@@ -76,13 +76,6 @@ function track.same(a, b)
     if a[key] == nil then return false end
   end
   return true
-end
-
---- Append values to the list t[field], which is made if it is absent.
-function track.note(t, field, ...)
-  local list = t[field] or {}
-  t[field] = list
-  for i = 1, select("#", ...) do list[#list + 1] = (select(i, ...)) end
 end
 
 -- Queues --------------------------------------------------------------------------
@@ -204,7 +197,7 @@ function track.guard_texts(fsm)
     for number, tr in ipairs(rfsm.elements(at.machine, rfsm.is_trans)) do
       if tr.guard then
         has_some = true
-        track.note(lists, i, number, tostring(tr))
+        order.append(lists, i, number, tostring(tr))
       end
     end
   end

@@ -56,26 +56,27 @@ local function add(launch, place, text)
   insert(launch.problems, (place ~= "" and place .. ": " or "") .. text)
 end
 
+local function report(launch, name, text, ...)
+  add(launch, launch.cell.places[name], name .. ": " .. text:format(...))
+end
+
 -- Returns the settings of a machine, and the table of options for its launch.
 local function read_machine(launch, name, given)
-  local function report(text)
-    add(launch, launch.cell.places[name], name .. ": " .. text)
-  end
   local own, args = opts.read(OWN, {}), {}
   launch.own[name], launch.args[name] = own, args
   if type(given) ~= "table" then
-    return report("table of options expected, " .. opts.got(given))
+    return report(launch, name, "table of options expected, %s", opts.got(given))
   end
   for _, field in ipairs(rfsm.sorted_keys(given)) do
     local right, problem = opts.read(OWN, { [field] = given[field] })
     if TAKEN[field] then
-      report(("%s: not an option here, it is %s"):format(field, TAKEN[field]))
+      report(launch, name, "%s: not an option here, it is %s", field, TAKEN[field])
     elseif not OWN[field] then
       args[field] = given[field]
     elseif right then
       own[field] = right[field]
     else
-      report(problem)
+      report(launch, name, "%s", problem)
     end
   end
 end
@@ -89,32 +90,32 @@ end
 local function check_file(launch, name)
   local cell, file = launch.cell, launch.cell.files[name]
   if not file then
-    return add(launch, cell.places[name], name .. ": its component loads the chart, "
-      .. "expected system.load 'FILE'")
+    return report(launch, name, "its component loads the chart, expected system.load "
+      .. "'FILE'")
   end
   local ok, model = pcall(rfsm.load, file)
   if not ok or text_of_chart(model) ~= text_of_chart(cell.models[name]) then
-    add(launch, cell.places[name], ("%s: the system has changed the chart of %s, which "
-      .. "its component loads"):format(name, file))
+    report(launch, name, "the system has changed the chart of %s, which its component "
+      .. "loads", file)
   end
 end
 
 local LARGEST = 2147483647 -- the field `size` of a ConnPolicy is an int
 
 local function check_wire(launch, wire)
-  local function report(text)
+  local function tell(text)
     add(launch, wire.location, ("wires[%d]%s"):format(wire.number, text))
   end
   if wire.size > LARGEST then
-    report((".size: a policy of RTT has at most %d, got %.0f"):format(LARGEST,
+    tell((".size: a policy of RTT has at most %d, got %.0f"):format(LARGEST,
       wire.size))
   end
   for _, event in ipairs(wire.events) do
     if alphabet.needs_data(launch.machines[wire.to], event) then
-      report((": a string port carries no data, and '%s' takes '%s' with data only")
+      tell((": a string port carries no data, and '%s' takes '%s' with data only")
         :format(wire.to, event))
     elseif replacements.emits_data(launch.machines[wire.from], event) then
-      report((": a string port carries no data, and '%s' emits '%s' with data"):format(
+      tell((": a string port carries no data, and '%s' emits '%s' with data"):format(
         wire.from, event))
     end
   end
@@ -124,16 +125,15 @@ end
 local function add_to_order(launch, name, path)
   if match.has(launch.order, name) then return end
   if match.has(path, name) then
-    return add(launch, launch.cell.places[name], ("%s: after: a cycle, %s"):format(name,
-      concat(match.with(path, name), " after ")))
+    return report(launch, name, "after: a cycle, %s",
+      concat(match.with(path, name), " after "))
   end
   for _, other in ipairs(launch.own[name].after) do
     if launch.cell.models[other] then
       add_to_order(launch, other, match.with(path, name))
     else
-      add(launch, launch.cell.places[name], ("%s: after: no machine is named '%s'%s")
-        :format(name, rfsm.text_of(other), advice.nearest_name(rfsm.text_of(other),
-          launch.cell.names)))
+      report(launch, name, "after: no machine is named '%s'%s", rfsm.text_of(other),
+        advice.nearest_name(rfsm.text_of(other), launch.cell.names))
     end
   end
   if not match.has(launch.order, name) then insert(launch.order, name) end
@@ -141,17 +141,14 @@ end
 
 -- Is there a component for a machine, if and only if the options say so?
 local function check_component(launch, name)
-  local function report(text)
-    add(launch, launch.cell.places[name], name .. ": " .. text)
-  end
   local found = rtt_launch.peer_of(launch.deployer, name)
   local is_wanted = launch.own[name].component
   if found and not is_wanted then
-    report(("the deployer has a component '%s' (component = true takes it)"):format(
-      name))
+    report(launch, name, "the deployer has a component '%s' (component = true takes "
+      .. "it)", name)
   elseif is_wanted and not (found and found:hasOperation("exec_str")) then
-    report(("component: the deployer has no %s '%s'"):format(
-      found and "Lua component" or "component", name))
+    report(launch, name, "component: the deployer has no %s '%s'",
+      found and "Lua component" or "component", name)
   end
 end
 

@@ -420,19 +420,13 @@ end
 --- what a history has of the events that the machine kept before and keeps no longer:
 --- " (recalled: e_a, e_b)".
 function charts.step_noting(chart, steps)
-  local before, count, gone = waiting_in(chart), {}, {}
+  local before = waiting_in(chart)
   local leaves, has_moved = leaves_in(chart), false
   local is_idle, is_taken = charts.step(chart, steps)
   for i, leaf in ipairs(leaves_in(chart)) do
     has_moved = has_moved or leaf ~= leaves[i]
   end
-  for _, text in ipairs(before[1] and waiting_in(chart) or before) do
-    count[text] = (count[text] or 0) + 1
-  end
-  for _, text in ipairs(before) do
-    count[text] = (count[text] or 0) - 1
-    if count[text] < 0 then gone[#gone + 1] = text end
-  end
+  local gone = before[1] and order.missing(before, waiting_in(chart)) or before
   return is_idle, is_taken, has_moved,
     gone[1] and " (recalled: " .. concat(gone, ", ") .. ")"
 end

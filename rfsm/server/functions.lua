@@ -22,6 +22,7 @@ local desk = require "rfsm.server.desk"
 local encoding = require "rfsm.snapshot.encoding"
 local keys_of = require "rfsm.server.keys"
 local migrate = require "rfsm.snapshot.migrate"
+local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 local snapshot = require "rfsm.snapshot"
 local timeevent = require "rfsm_timeevent"
@@ -769,8 +770,7 @@ end
 function functions.rfsm_hint(_, args)
   local library, list = {}, functions.rfsm_charts()
   for i = 1, #list, 2 do
-    local paths = library[list[i]] or {}
-    library[list[i]], paths[#paths + 1] = paths, list[i + 1]
+    order.append(library, list[i], list[i + 1])
   end
   return { advice.in_library(library, args[1], args[2]) }
 end
@@ -800,8 +800,7 @@ return function(server, list, settings)
   times.open(host)
   charts.use(host.decode)
   for _, chart in ipairs(list) do
-    versions[chart.name] = versions[chart.name] or {}
-    versions[chart.name][#versions[chart.name] + 1] = chart
+    order.append(versions, chart.name, chart)
   end
   desk.add(functions, { key_of = key_of, read = read, load_machine = load_machine,
     place_at = place_at, note = note, save = save, take_by = take_by,

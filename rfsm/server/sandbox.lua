@@ -35,13 +35,9 @@ for name in ([[assert collectgarbage error getmetatable ipairs loadstring next p
   HERE[name] = true
 end
 
-local MISSING = { Redis = {}, PostgreSQL = { "bit", "struct", "cmsgpack", "redis",
-  "unpack", "loadstring" } }
-for _, list in pairs(MISSING) do -- any order: the lists are independent
-  for name in ("os io debug package dofile loadfile setfenv getfenv"):gmatch "%l+" do
-    list[#list + 1] = name
-  end
-end
+local NOWHERE = "os io debug package dofile loadfile setfenv getfenv"
+local MISSING = { Redis = NOWHERE, PostgreSQL = NOWHERE .. " bit struct cmsgpack redis "
+  .. "unpack loadstring" }
 
 -- Is the name between two positions a field or a key of a table, so that it is not a
 -- global?
@@ -53,7 +49,7 @@ end
 -- Returns position and name of the first library that a text uses and a server lacks.
 local function find_missing(code, server)
   local first, found = nil, nil
-  for _, name in ipairs(MISSING[server]) do
+  for name in MISSING[server]:gmatch("%l+") do
     local is_own = code:find("local[%w_, ]-%f[%w_]" .. name .. "%f[^%w_]")
     for from, behind in code:gmatch("%f[%w_]()" .. name .. "%f[^%w_]()") do
       local field, after = code:match("^%s*%.%s*([%w_]+)()", behind)

@@ -10,7 +10,7 @@ local calls = require "rfsm.shared.calls"
 local rfsm = require "rfsm"
 
 local ipairs, rawequal, rawget, rawset = ipairs, rawequal, rawget, rawset
-local remove = table.remove
+local type, remove = type, table.remove
 
 --- The fields of callbacks: of states, then of transitions.
 local instrument = { CALLBACKS = { "entry", "exit", "doo", "guard", "effect" } }
@@ -53,21 +53,14 @@ function instrument.listen(changes, fsm, name, note)
   end)
 end
 
---- Add a hook to a machine. `kind` is "pre_step" or "post_step" (of each iteration),
--- "path" or "reset". The hook must not keep the list of events: the machine reuses it.
-function instrument.hook(changes, fsm, kind, hook, where)
-  rfsm[kind .. "_hook_add"](fsm, rfsm.borrows(hook), where)
+--- Add a hook by rfsm.X_hook_add(fsm, ...), where X is the kind. The hook must not keep
+-- the list of events: the machine reuses it.
+function instrument.hook(changes, fsm, kind, ...)
+  local first, second = ...
+  rfsm.borrows(type(first) == "function" and first or second)
+  rfsm[kind .. "_hook_add"](fsm, ...)
   changes[#changes + 1] = { remove = function()
-    rfsm[kind .. "_hook_rm"](fsm, hook)
-  end }
-end
-
---- Add a hook of the kind "entry" to a state, or of the kind "watch" to an occurrence
---- such as "sent" or "failed".
-function instrument.hook_of(changes, fsm, kind, subject, hook)
-  rfsm[kind .. "_hook_add"](fsm, subject, hook)
-  changes[#changes + 1] = { remove = function()
-    rfsm[kind .. "_hook_rm"](fsm, subject, hook)
+    rfsm[kind .. "_hook_rm"](fsm, first, second)
   end }
 end
 

@@ -98,20 +98,6 @@ local WORDS = { ["true"] = true, ["false"] = false }
 
 local read_value
 
--- Reads a list in square brackets, whose opening bracket was read.
-local function read_list(reader, level)
-  local list, n = {}, 0
-  while not take(reader, "%]") do
-    n = n + 1
-    reader.key = nil
-    list[n] = read_value(reader, level)
-    if not take(reader, "[,;]") and not reader.text:find("^%s*%]", reader.at) then
-      fail(reader, "',' or ']'")
-    end
-  end
-  return list
-end
-
 -- Reads the key of a field, and the sign behind it. Returns nil if a value follows that
 -- has no key.
 local function read_key(reader, level)
@@ -126,24 +112,23 @@ local function read_key(reader, level)
   reader.at = from
 end
 
--- Reads the fields of a table whose opening brace was read.
-local function read_fields(reader, level)
+-- Reads the fields of a table in braces, or the items of a list in square brackets. Its
+-- beginning was read, `closing` is its end.
+local function read_table(reader, closing, level)
   local fields, n = {}, 0
-  while not take(reader, "}") do
-    local key = read_key(reader, level)
+  if level == LEVELS then fail(reader, "at most 9 tables inside each other") end
+  while not take(reader, "%" .. closing) do
+    local key = nil
+    if closing == "}" then key = read_key(reader, level + 1) end
     if key == nil then n = n + 1 end
     reader.key = key
-    fields[key == nil and n or key] = read_value(reader, level)
-    if not take(reader, "[,;]") and not reader.text:find("^%s*}", reader.at) then
-      fail(reader, "',' or '}'")
+    fields[key == nil and n or key] = read_value(reader, level + 1)
+    if not take(reader, "[,;]")
+      and not reader.text:find("^%s*%" .. closing, reader.at) then
+      fail(reader, "',' or '" .. closing .. "'")
     end
   end
   return fields
-end
-
-local function read_table(reader, read, level)
-  if level == LEVELS then fail(reader, "at most 9 tables inside each other") end
-  return read(reader, level + 1)
 end
 
 -- Raises what is wrong with a value. A word behind a name was probably meant as a text.
@@ -172,8 +157,8 @@ end
 function read_value(reader, level)
   local quote = take(reader, "([\"'])")
   if quote then return read_text(reader, quote) end
-  if take(reader, "{") then return read_table(reader, read_fields, level) end
-  if take(reader, "%[") then return read_table(reader, read_list, level) end
+  if take(reader, "{") then return read_table(reader, "}", level) end
+  if take(reader, "%[") then return read_table(reader, "]", level) end
   local from, word = reader.at, take(reader, "(%a+)")
   if word == "nil" or word == "null" then return nil end
   if WORDS[word] ~= nil then return WORDS[word] end
@@ -209,7 +194,7 @@ function typed.data(text)
   end
   return read_all(text, last, function(reader)
     take(reader, "{")
-    return read_fields(reader, 1)
+    return read_table(reader, "}", 0)
   end)
 end
 

@@ -263,18 +263,9 @@ end
 --- List the lines that only one of two structures has. If they have the same lines, the
 -- list says that their order differs.
 function migrate.difference(old, new)
-  local counts, list = {}, {}
-  for _, line in ipairs(old) do counts[line] = (counts[line] or 0) + 1 end
-  for _, line in ipairs(new) do
-    counts[line] = (counts[line] or 0) - 1
-    if counts[line] < 0 then list[#list + 1] = "new: " .. line end
-  end
-  for _, line in ipairs(old) do
-    if counts[line] > 0 then
-      list[#list + 1] = "gone: " .. line
-      counts[line] = counts[line] - 1
-    end
-  end
+  local list, gone = order.missing(new, old), order.missing(old, new)
+  for i, line in ipairs(list) do list[i] = "new: " .. line end
+  for _, line in ipairs(gone) do list[#list + 1] = "gone: " .. line end
   if not list[1] then list[1] = "the order of the transitions" end
   return list
 end

@@ -110,9 +110,8 @@ local function watch_steps(walk)
     is_noted[key] = true
     for _, fact in ipairs(keys) do left[fact] = nil end
     walk.has_ended = order.is_empty(left)
-    edges[from] = edges[from] or {}
-    edges[from][#edges[from] + 1] = { from = from, tgt = tgt, shows = keys,
-      label = label() }
+    order.append(edges, from, { from = from, tgt = tgt, shows = keys,
+      label = label() })
   end
   walk.edges = edges
 end

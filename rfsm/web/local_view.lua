@@ -81,7 +81,7 @@ end
 -- Counts the failed callbacks of each state. A guard or effect counts for the source of
 -- its transition.
 local function count_failures(view, fsm)
-  instrument.hook_of(view.changes, fsm, "watch", "failed", function(_, element)
+  instrument.hook(view.changes, fsm, "watch", "failed", function(_, element)
     local number = view.numbers[rfsm.is_trans(element) and element.src or element]
     if number then view:add_failure(number) end
   end)
