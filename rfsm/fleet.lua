@@ -218,10 +218,10 @@ local function call_of(name, keys, tag, ...)
   return call
 end
 
--- Calls a function of the loaded library for each hash tag, in parallel. Returns the
--- replies.
-local function call_tags(self, name, keys, ...)
-  local tags, calls = all_tags(self), {}
+-- Calls a function of the loaded library for each hash tag of a list, in parallel.
+-- Returns the replies.
+local function call_tags(self, tags, name, keys, ...)
+  local calls = {}
   for i, tag in ipairs(tags) do calls[i] = call_of(name, keys, tag, ...) end
   return self.connection:call_all(tags, calls)
 end
@@ -232,9 +232,8 @@ local WAKE = { keys_of.due, keys_of.out, keys_of.aside, keys_of.lease }
 -- Calls rfsm_wake for each hash tag in a list, in which a tag may come again. Adds
 -- to the counts; returns a table hash tag -> how many machines are still due.
 local function wake_tags(self, tags, limit, counts)
-  local calls, left = {}, {}
-  for i, tag in ipairs(tags) do calls[i] = call_of("rfsm_wake", WAKE, tag, limit) end
-  for i, reply in ipairs(self.connection:call_all(tags, calls)) do
+  local left = {}
+  for i, reply in ipairs(call_tags(self, tags, "rfsm_wake", WAKE, limit)) do
     counts.woken, counts.failed = counts.woken + reply[1], counts.failed + reply[2]
     counts[tags[i]] = (counts[tags[i]] or 0) + reply[1] + reply[2]
     left[tags[i]] = reply[3] or 0 -- an older library has run all of them
@@ -269,7 +268,7 @@ end
 -- Calls a function for each hash tag; returns the first keys of all replies, at most
 -- `limit`, or nil and the problem.
 local function joined(self, limit, name, keys, ...)
-  local ok, replies = pcall(call_tags, self, name, keys, ...)
+  local ok, replies = pcall(call_tags, self, all_tags(self), name, keys, ...)
   if not ok then return nil, replies end
   local found = {}
   for _, reply in ipairs(replies) do

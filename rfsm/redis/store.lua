@@ -204,18 +204,15 @@ local function whole_of(text, default, most, least)
   return number
 end
 
--- Runs a machine. It is no longer put aside, and its lease ends. If the machine does
--- not exist, its key is removed from the keys of due machines.
-local function tick(key, arguments)
-  local reply = tick_machine({ key }, arguments)
+-- rfsm_tick KEY: runs a machine. It is no longer put aside, and its lease ends. If the
+-- machine does not exist, its key is removed from the keys of due machines.
+function more.rfsm_tick(keys, arguments)
+  local key, reply = keys[1], tick_machine(keys, arguments)
   if not reply then call("ZREM", keys_of.due(key), key) end
   call("ZREM", keys_of.aside(key), key)
   call("ZREM", keys_of.lease(key), key)
   return reply
 end
-
--- rfsm_tick KEY: runs a machine, because it is due.
-function more.rfsm_tick(keys, args) return tick(keys[1], args) end
 
 -- Has a machine that cannot be run wait for a minute, so that others are not held up.
 -- The failure is counted, and the reason is added to the log of the machine.
@@ -227,10 +224,10 @@ local function put_aside(due, key, problem)
   pcall(call, "XADD", keys_of.log(key), "MAXLEN", "~", MAX_LOG, "*", "error", text)
 end
 
--- Calls f(key, argument). Returns 1 and 0; if it fails, puts the machine aside and
--- returns 0 and 1. A machine may have moved to another node of the cluster.
+-- Calls f({ key }, { argument }). Returns 1 and 0; if it fails, puts the machine aside
+-- and returns 0 and 1. A machine may have moved to another node of the cluster.
 local function try(f, due, key, argument)
-  local ok, problem = pcall(f, key, { argument })
+  local ok, problem = pcall(f, { key }, { argument })
   if ok then return 1, 0 end
   if reason_of(problem):find("non local key", 1, true) then return 0, 0 end
   put_aside(due, key, problem)
@@ -238,8 +235,9 @@ local function try(f, due, key, argument)
 end
 
 -- Holds a machine because of its leases.
-local function hold(key, arguments)
-  hold_machine({ key }, arguments)
+local function hold(keys, arguments)
+  local key = keys[1]
+  hold_machine(keys, arguments)
   call("ZREM", keys_of.lease(key), key)
   call("ZINCRBY", keys_of.aside(key), 1, key)
 end
@@ -269,7 +267,7 @@ function more.rfsm_wake(keys, args)
   local due, limit = keys_of.due(keys[1]), whole_of(args[1], 100, 10000)
   local key, count, failed = leased[due], 0, 0
   leased[due] = nil
-  if key then count, failed = try(tick, due, key, "due") end
+  if key then count, failed = try(more.rfsm_tick, due, key, "due") end
   local next_key, held = lease_next(due)
   leased[due] = next_key
   local left = call("ZCOUNT", due, "-inf", score(now())) + (next_key and 1 or 0)
