@@ -565,6 +565,7 @@ describe("nesting", function()
   end)
 
   it("is not kept waiting for ever by transitions that are taken around it", function()
+    require "rfsm_timeevent"
     local now, most = 0, 0
     local inner = state { warn = false, info = false, a = state {}, b = state {},
       trans { src = "initial", tgt = "a" },
