@@ -128,7 +128,7 @@ local function draw(chart)
   -- so Graphviz takes seconds and not a minute, and the picture is hardly wider
   if #chart.nodes > LARGE then add(lines, 1, "graph [nslimit=1]") end
   looks.add_node(lines, 1, root, nil, add_labels)
-  add_labels(lines, 1, chart)
+  add_labels(lines, 1, chart.top)
   for _, arrow in ipairs(chart.all) do add_arrow(lines, arrow) end
   add(lines, 0, "}")
   return concat(lines, "\n") .. "\n"

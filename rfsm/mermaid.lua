@@ -38,15 +38,14 @@ local function find_diamonds(chart)
     if node.kind == "initial" and not is_plain then diamonds[node] = true end
   end
   for _, arrow in ipairs(chart.all) do
-    local composite = arrow.src.parent
-    note(arrow.src, composite and diagram.is_inside(arrow.tgt, composite))
+    note(arrow.src, diagram.is_inside(arrow.tgt, arrow.src.parent))
     note(arrow.tgt)
   end
   return diamonds
 end
 
 -- The root gets the id "root_", because Mermaid uses "root" itself. The id is unique.
-local function id_of(node) return node.parent and node.id or node.id .. "_" end
+local function id_of(node) return node.depth > 0 and node.id or node.id .. "_" end
 
 local function start_of(node, diamonds)
   return node.kind == "initial" and not diamonds[node] and "[*]" or id_of(node)
@@ -104,7 +103,7 @@ end
 local function add_class(lines, chart)
   local ids = {}
   for _, node in ipairs(chart.nodes) do
-    if node.mode and node.parent then ids[#ids + 1] = id_of(node) end
+    if node.mode and node.depth > 0 then ids[#ids + 1] = id_of(node) end
   end
   if not ids[1] then return end
   add(lines, 1, "classDef active fill:#D6EAF8,stroke:#0072B2,stroke-width:2px")
@@ -118,12 +117,12 @@ local function draw(chart)
   end
   add(lines, 0, "stateDiagram-v2")
   if chart.direction == "LR" then add(lines, 1, "direction LR") end
-  if root.kind == "leaf" or chart.arrows[1] or root.rows[1] then
+  if root.kind == "leaf" or chart.top.arrows[1] or root.rows[1] then
     add_leaf(lines, 1, root)
   end
   local diamonds = find_diamonds(chart)
   add_members(lines, 1, root, diamonds)
-  add_arrows(lines, 1, chart, diamonds)
+  add_arrows(lines, 1, chart.top, diamonds)
   add_class(lines, chart)
   return concat(lines, "\n") .. "\n"
 end

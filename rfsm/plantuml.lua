@@ -70,7 +70,7 @@ local function draw(chart)
   if chart.title then add(lines, 0, "title " .. text_of(chart.title)) end
   if chart.direction == "LR" then add(lines, 0, "left to right direction") end
   add_node(lines, 0, chart.root)
-  add_arrows(lines, 0, chart)
+  add_arrows(lines, 0, chart.top)
   add(lines, 0, "@enduml")
   return concat(lines, "\n") .. "\n"
 end

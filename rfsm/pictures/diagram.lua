@@ -55,7 +55,7 @@ local diagram = {}
 ---@field fqn string
 ---@field id string letters, digits and underscores; no other node has it
 ---@field kind "leaf"|"composite"|"connector"|"initial"
----@field parent? rfsm.pictures.Node absent at the root
+---@field parent rfsm.pictures.Node
 ---@field depth integer number of composites around it
 ---@field index? integer position among the nodes of the parent
 ---@field nodes rfsm.pictures.Node[] its regions, or the nodes in it, `initial` first
@@ -81,7 +81,7 @@ local diagram = {}
 ---@field key string such as "root.trans[2]"; of a bundle the keys of all, in lines
 ---@field src rfsm.pictures.Node
 ---@field tgt rfsm.pictures.Node an `initial` only if `src` is in its composite
----@field home? rfsm.pictures.Node the innermost composite around both ends
+---@field home rfsm.pictures.Node the innermost composite around both ends
 ---@field at string file and line of guard and effect
 ---@field parts string[] of the label: "e1, e2", "[guard]", "/ effect" and "(pn 1)", as
 -- far as the transition has them; of a bundle one text, with a line for each transition
@@ -96,9 +96,9 @@ local diagram = {}
 ---@field kind? "levels"|"plain"|"sheet" the layout of the former picture in the option
 -- `like`
 ---@field root rfsm.pictures.Node
+---@field top rfsm.pictures.Node a composite around the root
 ---@field nodes rfsm.pictures.Node[] all nodes, parents before children
 ---@field by_fqn table<string, rfsm.pictures.Node>
----@field arrows rfsm.pictures.Arrow[] arrows that begin or end at the root
 ---@field all rfsm.pictures.Arrow[] all arrows
 ---@field taken table<string, boolean> identifiers that are in use
 ---@field folded table<string, boolean> FQNs of the composites in the option `folded`
@@ -258,7 +258,7 @@ local function read_node(chart, tab, parent, fqn, depth)
     kind = is_cut and "leaf" or kind, is_cut = is_cut or nil,
     is_linked = chart.has_links,
     nodes = {}, arrows = {}, rows = rows, marks = marks, at = at_of(tab),
-    mode = MODES[tab.mode], depth = parent and parent.depth + 1 or 0,
+    mode = MODES[tab.mode], depth = parent.depth + 1,
     is_final = tab.final, index = 1,
   }
   chart.by_fqn[fqn] = node
@@ -295,11 +295,10 @@ function diagram.ends_in(arrow, composite)
   return src, tgt
 end
 
--- Returns the innermost composite that has both ends of an arrow in it; nil if one of
--- them is the root.
-local function find_home(src, tgt)
+-- Returns the innermost composite that has both ends of an arrow in it.
+local function home_of(src, tgt)
   local home = src.parent
-  while home and not is_inside(tgt, home) do home = home.parent end
+  while not is_inside(tgt, home) do home = home.parent end
   return home
 end
 
@@ -414,13 +413,12 @@ local function place_arrows(chart)
   chart.all = tied(chart.all)
   for _, arrow in ipairs(chart.all) do
     local src, tgt = arrow.src, arrow.tgt
-    local home = find_home(src, tgt)
+    local home = home_of(src, tgt)
     arrow.home = home
     src.is_on_border = src.is_on_border or home ~= src.parent or nil
     tgt.is_on_border = tgt.is_on_border or home ~= tgt.parent or nil
     src.has_loop = src.has_loop or diagram.is_loop(arrow)
-    local arrows = (home or chart).arrows
-    arrows[#arrows + 1] = arrow
+    home.arrows[#home.arrows + 1] = arrow
   end
 end
 
@@ -583,7 +581,8 @@ local function read_description(chart, tab, settings)
   local top = part_of(tab, fqn)
   if not top then return false end
   for _, name in ipairs(settings.folded or {}) do chart.folded[name] = true end
-  chart.root = read_node(chart, top, nil, fqn, settings.depth or 1 / 0)
+  chart.root = read_node(chart, top, chart.top, fqn, settings.depth or 1 / 0)
+  chart.top.nodes[1] = chart.root
   if settings.like then keep_order(chart, settings.like) end
   diagram.each_transition(tab, marsh.gen_event_text(), function(...)
     read_transition(chart, ...)
@@ -607,7 +606,8 @@ function diagram.read(source, where, options)
   local chart = {
     title = title_of(settings.title), direction = settings.direction,
     foot = settings.foot, sheet = choice.size_of(settings.sheet),
-    nodes = {}, arrows = {}, all = {}, by_fqn = {}, taken = {}, folded = {},
+    top = { kind = "top", nodes = {}, arrows = {}, depth = -1 },
+    nodes = {}, all = {}, by_fqn = {}, taken = {}, folded = {},
     outside = {}, has_links = settings.within ~= nil,
   }
   local tab = is_read and source or marsh.model2tab(source, true)

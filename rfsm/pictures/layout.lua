@@ -65,7 +65,7 @@ end
 local function line_of(arrow, direction)
   local line, tip, label, axis = {}, nil, nil, direction == "TB" and 1 or 2
   for _, part in ipairs(arrow.links) do
-    local level = part.level.composite.level -- a shape
+    local level = part.composite.level -- a shape
     local link = level.links[part.id]
     local function place(point)
       return { level.left + point[1], level.bottom + point[2] }

@@ -13,8 +13,9 @@
 -- @license BSD-3-Clause
 
 local diagram = require "rfsm.pictures.diagram"
+local order = require "rfsm.shared.order"
 
-local ipairs, setmetatable = ipairs, setmetatable
+local insert, ipairs, setmetatable = table.insert, ipairs, setmetatable
 
 local links = {}
 
@@ -23,12 +24,10 @@ local links = {}
 ---@field composite rfsm.pictures.Node
 ---@field direction "TB"|"LR"
 ---@field gates rfsm.pictures.Gate[]
----@field gate_of table<string, rfsm.pictures.Gate> key of an arrow -> its gate
 ---@field links rfsm.pictures.Link[]
----@field link_of table<string, rfsm.pictures.Link> key of an arrow -> its link
----@field boxes rfsm.pictures.Box[] the boxes of the nodes
----@field width number
----@field height number
+---@field boxes? rfsm.pictures.Box[] the boxes of the nodes
+---@field width? number
+---@field height? number
 ---@field is_spread? boolean leaves are at both sides of a hub
 ---@field header? rfsm.pictures.Box the box of the composite's name and rows
 
@@ -56,7 +55,7 @@ local links = {}
 --- A part of an arrow: the line between two ends in a level.
 ---@class rfsm.pictures.Link
 ---@field id integer
----@field level rfsm.pictures.Level
+---@field composite rfsm.pictures.Node it is in the level of this composite
 ---@field arrow rfsm.pictures.Arrow
 ---@field upper rfsm.pictures.End
 ---@field lower rfsm.pictures.End
@@ -70,114 +69,77 @@ local links = {}
 
 -- Gates and links -------------------------------------------------------------
 
---- Return an empty level.
-function links.new_level(composite, direction)
-  return { composite = composite, direction = direction, gates = {}, gate_of = {},
-    links = {}, link_of = {}, boxes = {}, width = 0, height = 0 }
+local function new_level(composite, direction)
+  return { composite = composite, direction = direction, gates = {}, links = {} }
 end
 
 --- Return a level with gates and links of its own, which has all else of another one.
 function links.copy(level)
   local function heir(element) return setmetatable({}, { __index = element }) end
   local copy = heir(level)
-  copy.gates, copy.links = {}, {}
-  for i, gate in ipairs(level.gates) do copy.gates[i] = heir(gate) end
-  for i, link in ipairs(level.links) do
-    copy.links[i] = heir(link)
-    copy.links[i].level = copy
-  end
+  copy.gates, copy.links = order.map(level.gates, heir), order.map(level.links, heir)
   return copy
 end
 
--- Returns the gate of an arrow in a level; the first call makes it.
-local function gate_of(level, arrow, is_upper)
-  local key = arrow.key
-  local gate = level.gate_of[key]
-  if gate then return gate end
+local function add_gate(level, is_upper)
   local index = #level.gates + 1
-  gate = { id = (is_upper and "t" or "b") .. index, index = index, is_upper = is_upper }
-  level.gates[index], level.gate_of[key] = gate, gate
-  return gate
+  level.gates[index] = { id = (is_upper and "t" or "b") .. index, index = index,
+    is_upper = is_upper }
+  return level.gates[index]
 end
 
--- Returns the link of an arrow in a level; the first call adds the given link.
-local function link_of(level, link)
-  local key = link.arrow.key
-  if not level.link_of[key] then
-    link.id, link.level = #level.links + 1, level
-    level.links[link.id], level.link_of[key] = link, link
-  end
-  return level.link_of[key]
-end
-
-local function append(list, more)
-  for _, element in ipairs(more) do list[#list + 1] = element end
-  return list
-end
-
-local function reversed(list)
-  local result = {}
-  for i, element in ipairs(list) do result[#list + 1 - i] = element end
-  return result
+-- Adds a link to the level of a composite, and to its arrow, at a position.
+local function add_link(composite, position, link)
+  local list = composite.level.links
+  link.id, link.composite = #list + 1, composite
+  list[link.id] = link
+  insert(link.arrow.links, position, link)
 end
 
 -- Chains: from the source out to the home, and in to the target ---------------
 
--- Follows an arrow from the node at one of its ends out to its home. Returns the end of
--- the arrow in the level of the home, and the links from the node to that end.
+-- Adds the links from an end of an arrow out to the arrow's home, behind the links that
+-- are there. Returns the end of the arrow in the level of the home.
 local function climb(arrow, node, is_upper, is_src)
-  local composite, finish, list = node.parent, { node = node }, {}
+  local composite, finish, position = node.parent, { node = node }, #arrow.links + 1
   while composite ~= arrow.home do
-    local gate = gate_of(composite.level, arrow, is_upper)
+    local gate = add_gate(composite.level, is_upper)
     local upper, lower = finish, { gate = gate }
     if is_upper then upper, lower = lower, upper end
-    list[#list + 1] = link_of(composite.level, {
+    add_link(composite, is_src and #arrow.links + 1 or position, {
       arrow = arrow, upper = upper, lower = lower, is_turned = is_upper == is_src,
       has_head = not (is_src or finish.gate),
     })
-    finish = { node = composite, gate = gate }
-    composite = composite.parent
+    finish, composite = { node = composite, gate = gate }, composite.parent
   end
-  return finish, list
+  return finish
 end
 
--- Returns the links of an arrow from a composite to a node in it: it begins at the
--- inner side of the frame.
-local function inner_links(arrow)
-  local _, list = climb(arrow, arrow.tgt, true, false)
-  list[#list].is_home, list[#list].is_inner = true, true
-  return reversed(list)
-end
-
-local function links_of(arrow)
-  if diagram.is_inside(arrow.tgt, arrow.src) then return inner_links(arrow) end
+local function add_links(arrow)
+  if diagram.is_inside(arrow.tgt, arrow.src) then
+    climb(arrow, arrow.tgt, true, false)
+    arrow.links[1].is_home, arrow.links[1].is_inner = true, true
+    return
+  end
   local src, tgt = diagram.ends_in(arrow, arrow.home)
   local is_down = src.index <= tgt.index
-  local out, list = climb(arrow, arrow.src, not is_down, true)
-  local into, inner = climb(arrow, arrow.tgt, is_down, false)
-  local upper, lower = out, into
-  if not is_down then upper, lower = into, out end
-  list[#list + 1] = link_of(arrow.home.level, {
-    arrow = arrow, upper = upper, lower = lower, is_turned = not is_down,
-    is_home = true, has_head = not into.gate,
-  })
-  return append(list, reversed(inner))
+  local upper, position = climb(arrow, arrow.src, not is_down, true), #arrow.links + 1
+  local lower = climb(arrow, arrow.tgt, is_down, false)
+  local has_head = not lower.gate
+  if not is_down then upper, lower = lower, upper end
+  add_link(arrow.home, position, { arrow = arrow, upper = upper, lower = lower,
+    is_turned = not is_down, is_home = true, has_head = has_head })
 end
 
---- Give each composite its level, and each arrow its links. `chart.top` is a composite
--- around the root, so that arrows at the root have a level, too.
+--- Give each composite its level, and each arrow its links.
 function links.prepare(chart)
-  chart.top = { nodes = { chart.root }, kind = "top" }
-  chart.top.level = links.new_level(chart.top, chart.direction)
-  chart.root.parent = chart.top
+  chart.top.level = new_level(chart.top, chart.direction)
   for _, node in ipairs(chart.nodes) do
-    if node.kind == "composite" then
-      node.level = links.new_level(node, chart.direction)
-    end
+    node.level = node.kind == "composite" and new_level(node, chart.direction) or nil
   end
   for _, arrow in ipairs(chart.all) do
-    arrow.home = arrow.home or chart.top
-    arrow.links = links_of(arrow)
+    arrow.links = {}
+    add_links(arrow)
   end
 end
 
