@@ -37,17 +37,6 @@ end
 
 -- Arrows ----------------------------------------------------------------------
 
--- Returns the node at which Graphviz shall end an edge. In a composite it is the last
--- node if the edge begins there, else the first node, because nodes are drawn in about
--- this order from top to bottom.
-local function anchor_of(node, is_tail)
-  if node.text then return node.id .. (is_tail and node.tail or node.head) end
-  while node.kind == "composite" do
-    node = node.nodes[is_tail and #node.nodes or 1]
-  end
-  return node.id .. (node.kind == "connector" and ":p" or "")
-end
-
 -- Returns over how many ranks an edge leads down from a node. If the last node of a
 -- composite has a loop, the loop's label is one more rank.
 local function length_of(node)
@@ -93,13 +82,9 @@ end
 local function add_edge(lines, arrow, half, upper, lower, dir)
   local length = min_length(upper, lower)
   local key = concat(arrow.keys or { arrow.key }, half .. "\n") .. half
-  add(lines, 1, ("%s -> %s [%s, %s%s%s%s%s]"):format(
-    anchor_of(upper, true), anchor_of(lower), id_of(key),
-    looks.arrow_text(arrow),
-    upper.kind == "composite" and ", ltail=cluster_" .. upper.id or "",
-    lower.kind == "composite" and ", lhead=cluster_" .. lower.id or "",
-    length > 1 and ", minlen=" .. length or "",
-    dir ~= "forward" and ", dir=" .. dir or ""))
+  add(lines, 1, looks.edge_text(arrow, upper, lower, key,
+    (length > 1 and ", minlen=" .. length or "")
+    .. (dir ~= "forward" and ", dir=" .. dir or "")))
 end
 
 -- Adds one edge for an arrow without a label, else two: to the label and from it.
@@ -127,7 +112,7 @@ local function draw(chart)
     looks.head(chart.direction) }
   -- so Graphviz takes seconds and not a minute, and the picture is hardly wider
   if #chart.nodes > LARGE then add(lines, 1, "graph [nslimit=1]") end
-  looks.add_node(lines, 1, root, nil, add_labels)
+  looks.add_node(lines, 1, root, add_labels)
   add_labels(lines, 1, chart.top)
   for _, arrow in ipairs(chart.all) do add_arrow(lines, arrow) end
   add(lines, 0, "}")

@@ -10,7 +10,6 @@
 -- @license BSD-3-Clause
 
 local diagram = require "rfsm.pictures.diagram"
-local curves = require "rfsm.pictures.lines"
 local looks = require "rfsm.pictures.looks"
 local rfsm = require "rfsm"
 
@@ -378,16 +377,6 @@ end
 
 -- Public functions ------------------------------------------------------------
 
-local function place_gate(level, gate)
-  local x, y = gate.at[1] + level.x, gate.at[2] + level.y
-  if level.direction == "TB" then
-    gate.x, gate.y, gate.offset = x, gate.is_upper and level.height or 0, x
-  else
-    gate.x, gate.y = gate.is_upper and 0 or level.width, y
-    gate.offset = level.height - y
-  end
-end
-
 --- Give a level its size, and its gates their positions.
 function graphs.measure(level)
   local composite = level.composite
@@ -399,15 +388,8 @@ function graphs.measure(level)
   local is_centred = level.header ~= nil
   for _, gate in ipairs(level.gates) do
     is_centred = is_centred and not gate.is_upper
-    place_gate(level, gate)
-  end
-  for _, link in ipairs(level.links) do
-    local gate, line = link.is_inner and level.gates[link.upper.gate.index], {}
-    if gate then
-      curves.join(line, { { gate.x - level.x, gate.y - level.y } })
-      curves.join(line, link.points)
-      link.points = line
-    end
+    gate.offset = level.direction == "TB" and gate.at[1] + level.x
+      or level.height - gate.at[2] - level.y
   end
   if is_centred then level.header.x = level.inner_width / 2 end
 end

@@ -22,97 +22,72 @@ local number_of = rfsm.number_of
 
 local layout = {}
 
---- A layout: the position of everything, in points from the lower left corner.
----@class rfsm.pictures.Layout
----@field kind "levels"|"plain"|"sheet"
----@field left number
----@field bottom number
----@field width number
----@field height number
----@field lines { points: number[][], tip: number[], label?: number[] }[]
----@field places? table<rfsm.pictures.Node, rfsm.pictures.Place> absent if it is plain
-
---- The place of a node. Only a composite has a frame.
----@class rfsm.pictures.Place
----@field x number the middle of the node, or of the header of a composite
----@field y number
----@field left? number left edge of the frame; absent if the node is no composite
----@field bottom? number
----@field width? number
----@field height? number
-
--- Levels: positions in a level become positions in the picture -----------------
-
--- Places a composite, whose lower left corner is given, and all nodes in it.
-local function move(places, composite, left, bottom)
-  local level = composite.level
-  local header = level.header or { x = 0, y = 0 }
-  level.left, level.bottom = left + level.x, bottom + level.y
-  places[composite] = { left = left, bottom = bottom, width = level.width,
-    height = level.height, x = level.left + header.x, y = level.bottom + header.y }
-  for i, node in ipairs(composite.nodes) do
-    local box, inner = level.boxes[i], node.level
-    local x, y = level.left + box.x, level.bottom + box.y
-    if inner then
-      move(places, node, x - inner.width / 2, y - inner.height / 2)
-    else
-      places[node] = { x = x, y = y }
-    end
-  end
-end
-
--- Joins the links of an arrow, its parts in single levels, to one line.
-local function line_of(arrow, direction)
-  local line, tip, label, axis = {}, nil, nil, direction == "TB" and 1 or 2
-  for _, part in ipairs(arrow.links) do
-    local level = part.composite.level -- a shape
-    local link = level.links[part.id]
-    local function place(point)
-      return { level.left + point[1], level.bottom + point[2] }
-    end
-    lines.join(line, lines.moved(link.points, level.left, level.bottom, link.is_turned),
-      axis)
-    tip = link.has_head and place(link.tip) or tip
-    if link.label_at then
-      lines.attract(link.label_at, diagram.label_of(arrow), link.points,
-        level.direction == "TB" and 1 or 2)
-      label = place(link.label_at)
-    end
-  end
-  return { points = line, tip = tip, label = label }
-end
-
--- Returns the layout of a chart whose levels are laid out.
-local function layout_of(chart, kind)
-  local places, arrows, outer = {}, {}, chart.outer.composite
-  move(places, outer, 0, 0)
-  for i, arrow in ipairs(chart.all) do arrows[i] = line_of(arrow, chart.direction) end
-  return { kind = kind, left = 0, bottom = 0, width = outer.level.width,
-    height = outer.level.height, places = places, lines = arrows }
-end
-
--- Returns the plain layout in an answer of Graphviz; nil if an edge is missing in it.
-local function plain_layout(chart, answer)
-  local list, count = {}, 0
-  local width, height = answer:match('bb="0,0,([%d.e+]+),([%d.e+]+)"')
-  for position in answer:gmatch('\n%s*pos="([^" ]+ [^"]+)"') do
-    list[#list + 1] = graphs.line_of(position)
-  end
-  for _, arrow in ipairs(chart.all) do count = count + (arrow.label and 2 or 1) end
-  return #list == count and { kind = "plain", width = number_of(width),
-    height = number_of(height), lines = list,
-    crossings = choice.count_crossings(list) } or nil
-end
-
 -- The graph -------------------------------------------------------------------
 
 local function point_text(x, y)
   return looks.number_text(x) .. "," .. looks.number_text(y)
 end
 
-local function box_text(box)
-  return ('bb="%s,%s"'):format(point_text(box.left, box.bottom),
-    point_text(box.left + box.width, box.bottom + box.height))
+local function box_text(left, bottom, width, height)
+  return ('bb="%s,%s"'):format(point_text(left, bottom),
+    point_text(left + width, bottom + height))
+end
+
+-- Gives a composite, whose lower left corner is given, and all nodes in it their
+-- positions in the picture.
+local function place(composite, left, bottom)
+  local level = composite.level
+  local header = level.header or { x = 0, y = 0 }
+  level.left, level.bottom = left + level.x, bottom + level.y
+  composite.position = (', %s, lp="%s"'):format(
+    box_text(left, bottom, level.width, level.height),
+    point_text(level.left + header.x, level.bottom + header.y))
+  for i, node in ipairs(composite.nodes) do
+    local box, inner = level.boxes[i], node.level
+    local x, y = level.left + box.x, level.bottom + box.y
+    node.position = (', pos="%s"'):format(point_text(x, y))
+    if inner then place(node, x - inner.width / 2, y - inner.height / 2) end
+  end
+end
+
+-- Returns where an arrow begins that leads into its source: at the inner side of the
+-- frame, beside its gate.
+local function inner_start(level, gate)
+  local at, left, bottom = level.gates[gate.index].at, level.left, level.bottom
+  if level.direction == "TB" then
+    return { left + at[1], bottom + level.height - level.y }
+  end
+  return { left - level.x, bottom + at[2] }
+end
+
+-- Joins the links of an arrow, its parts in single levels, to one line. Returns its
+-- points as a text, its tip, and the position of its label.
+local function line_of(arrow, direction)
+  local line, tip, label, texts = {}, nil, nil, {}
+  for _, part in ipairs(arrow.links) do
+    local level = part.composite.level -- a shape
+    local link, axis = level.links[part.id], lines.axis_of(level)
+    local function text_of(point)
+      return point_text(level.left + point[1], level.bottom + point[2])
+    end
+    line[1] = link.is_inner and inner_start(level, link.upper.gate) or line[1]
+    lines.join(line, lines.moved(link.points, level.left, level.bottom, link.is_turned),
+      direction == "TB" and 1 or 2)
+    tip = link.has_head and text_of(link.tip) or tip
+    if link.label_at then
+      lines.attract(link.label_at, diagram.label_of(arrow), link.points, axis)
+      label = text_of(link.label_at)
+    end
+  end
+  for i, point in ipairs(line) do texts[i] = point_text(point[1], point[2]) end
+  return concat(texts, " "), tip, label
+end
+
+local function add_arrow(texts, arrow, direction)
+  local line, tip, label = line_of(arrow, direction)
+  add(texts, 1, looks.edge_text(arrow, arrow.src, arrow.tgt, arrow.key,
+    (', pos="e,%s %s"%s'):format(tip, line, arrow.parts[1]
+    and (', lp="%s", label=%s'):format(label, looks.arrow_label(arrow)) or "")))
 end
 
 local PAD = 4 -- points of Graphviz around a picture
@@ -122,58 +97,26 @@ local PAD = 4 -- points of Graphviz around a picture
 local function view_text(box)
   return (', notranslate=true, viewport="%s,1,%s"'):format(
     point_text(box.width + 2 * PAD, box.height + 2 * PAD),
-    point_text(box.left + box.width / 2, box.bottom + box.height / 2))
-end
-
-local function position_text(place)
-  local point = point_text(place.x, place.y)
-  if not place.left then return (', pos="%s"'):format(point) end
-  return (', %s, lp="%s"'):format(box_text(place), point)
-end
-
--- Returns the identifier of the node at which an arrow ends. In Graphviz no edge ends
--- at a cluster, so the arrow of a composite ends at the first leaf in it.
-local function anchor_of(node)
-  while node.nodes[1] do node = node.nodes[1] end
-  return node.id
-end
-
-local function end_text(name, node)
-  return node.nodes[1] and (", %s=cluster_%s"):format(name, node.id) or ""
-end
-
-local function add_arrow(texts, arrow, line)
-  local points, tip, label = {}, line.tip, line.label
-  for i, point in ipairs(line.points) do
-    points[i] = point_text(point[1], point[2])
-  end
-  add(texts, 1, ('%s -> %s [%s, %s%s%s, pos="e,%s %s"%s]'):format(
-    anchor_of(arrow.src), anchor_of(arrow.tgt), looks.id_of(arrow.key),
-    looks.arrow_text(arrow), end_text("ltail", arrow.src), end_text("lhead", arrow.tgt),
-    point_text(tip[1], tip[2]), concat(points, " "),
-    arrow.parts[1] and (', lp="%s", label=%s'):format(point_text(label[1], label[2]),
-      looks.arrow_label(arrow)) or ""))
+    point_text(box.width / 2, box.height / 2))
 end
 
 local FOOT = 10 -- points from the picture down to the text below it
 
-local function foot_text(chart, positions)
+local function foot_text(chart, width)
   return ('foot [shape=plain, style="", fontsize=10, label=%s, pos="%s"]'):format(
-    looks.quoted(diagram.clean(chart.foot)), point_text(positions.left
-    + positions.width / 2, positions.bottom - FOOT))
+    looks.quoted(diagram.clean(chart.foot)), point_text(width / 2, -FOOT))
 end
 
-local function graph_of(chart, positions)
-  local root, places = chart.root, positions.places
-  local texts = { "digraph " .. looks.quoted(root.name) .. " {",
+-- Returns the graph of a chart whose levels are laid out.
+local function graph_of(chart, outer, kind)
+  place(outer.composite, 0, 0)
+  local texts = { "digraph " .. looks.quoted(chart.root.name) .. " {",
     looks.head(chart.direction), ('  graph [layout=nop2, outputorder=nodesfirst, '
-    .. 'class=%s, %s%s]'):format(positions.kind, box_text(positions),
-    chart.foot and "" or view_text(positions)) }
-  looks.add_node(texts, 1, root, function(node) return position_text(places[node]) end)
-  for i, arrow in ipairs(chart.all) do
-    add_arrow(texts, arrow, positions.lines[i])
-  end
-  if chart.foot then add(texts, 1, foot_text(chart, positions)) end
+    .. 'class=%s, %s%s]'):format(kind, box_text(0, 0, outer.width, outer.height),
+    chart.foot and "" or view_text(outer)) }
+  looks.add_node(texts, 1, chart.root)
+  for _, arrow in ipairs(chart.all) do add_arrow(texts, arrow, chart.direction) end
+  if chart.foot then add(texts, 1, foot_text(chart, outer.width)) end
   add(texts, 0, "}")
   return concat(texts, "\n") .. "\n"
 end
@@ -185,6 +128,18 @@ local function plain_graph(chart, graph)
 end
 
 -- Layouts ---------------------------------------------------------------------
+
+-- Returns the plain layout in an answer of Graphviz; nil if an edge is missing in it.
+local function plain_layout(chart, answer)
+  local list, count = {}, 0
+  local width, height = answer:match('bb="0,0,([%d.e+]+),([%d.e+]+)"')
+  for position in answer:gmatch('\n%s*pos="([^" ]+ [^"]+)"') do
+    list[#list + 1] = graphs.line_of(position)
+  end
+  for _, arrow in ipairs(chart.all) do count = count + (arrow.label and 2 or 1) end
+  return #list == count and { width = number_of(width), height = number_of(height),
+    crossings = choice.count_crossings(list) } or nil
+end
 
 local MOST = 1000 -- nodes; Graphviz needs about a second to lay out so many
 
@@ -236,12 +191,11 @@ function layout.draw(chart, graph, run)
   end))
   if problem then return nil, problem end
   local best = sheet.best(chart)
-  if best ~= chart.whole then
-    sheet.put(best)
-    best = layout_of(chart, best == chart.outer.kept.first and "levels" or "sheet")
-  end
-  local text = best.places and graph_of(chart, best) or plain_graph(chart, graph)
-  return text, nil, 10 * choice.scale(chart.sheet, best.width, best.height)
+  local text_size = 10 * choice.scale(chart.sheet, best.width, best.height)
+  if best == chart.whole then return plain_graph(chart, graph), nil, text_size end
+  sheet.put(best)
+  return graph_of(chart, best.composite.level,
+    best == chart.outer.kept.first and "levels" or "sheet"), nil, text_size
 end
 
 return layout

@@ -8,6 +8,9 @@ local abs, ipairs, max, min = math.abs, ipairs, math.max, math.min
 
 local lines = {}
 
+--- Return the axis across the arrows of a level (1: x, 2: y).
+function lines.axis_of(level) return level.direction == "TB" and 1 or 2 end
+
 local function distance(a, b) return max(abs(a[1] - b[1]), abs(a[2] - b[2])) end
 
 local function between(a, b, share)

@@ -43,8 +43,7 @@ local links = {}
 ---@field id string
 ---@field index integer
 ---@field is_upper boolean
----@field x number
----@field y number
+---@field at number[] its point in the level
 ---@field offset number distance from the corner where its side of the frame begins
 
 --- An end of a link: a node, a gate of a node's box, or a gate of the level.

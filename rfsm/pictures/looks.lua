@@ -175,10 +175,9 @@ function looks.frame_text(node)
 end
 
 --- Append the lines of a node and of the nodes in it. A composite is a cluster.
--- `position_of(node)` returns further attributes of a node, and
 -- `add_labels(lines, depth, node)` appends further lines in a composite.
-function looks.add_node(lines, depth, node, position_of, add_labels)
-  local id, position = looks.id_of(node.fqn), position_of and position_of(node) or ""
+function looks.add_node(lines, depth, node, add_labels)
+  local id, position = looks.id_of(node.fqn), node.position or ""
   if node.kind ~= "composite" then
     return add(lines, depth, ("%s [%s, %s%s]"):format(node.id, id,
       looks.leaf_text(node), position))
@@ -187,14 +186,31 @@ function looks.add_node(lines, depth, node, position_of, add_labels)
   add(lines, depth + 1, ("graph [%s, %s%s]"):format(id, looks.frame_text(node),
     position))
   for _, subnode in ipairs(node.nodes) do
-    looks.add_node(lines, depth + 1, subnode, position_of, add_labels)
+    looks.add_node(lines, depth + 1, subnode, add_labels)
   end
   if add_labels then add_labels(lines, depth + 1, node) end
   add(lines, depth, "}")
 end
 
---- Return the attributes of the line of an arrow.
-function looks.arrow_text(arrow) return look_of(arrow, "transition") end
+-- Returns the node at which Graphviz shall end an edge. In a composite it is the last
+-- node if the edge begins there, else the first node, because nodes are drawn in about
+-- this order from top to bottom.
+local function anchor_of(node, is_tail)
+  if node.text then return node.id .. (is_tail and node.tail or node.head) end
+  while node.kind == "composite" do
+    node = node.nodes[is_tail and #node.nodes or 1]
+  end
+  return node.id .. (node.kind == "connector" and ":p" or "")
+end
+
+--- Return an edge of an arrow, with further attributes. In Graphviz no edge ends at a
+-- cluster, so the edge of a composite ends at a node in it.
+function looks.edge_text(arrow, tail, head, key, more)
+  return ("%s -> %s [%s, %s%s%s%s]"):format(anchor_of(tail, true), anchor_of(head),
+    looks.id_of(key), look_of(arrow, "transition"),
+    tail.kind == "composite" and ", ltail=cluster_" .. tail.id or "",
+    head.kind == "composite" and ", lhead=cluster_" .. head.id or "", more)
+end
 
 local FOOT = '<TD PORT="%s" WIDTH="1" HEIGHT="1"></TD>'
 

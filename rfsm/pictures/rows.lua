@@ -36,7 +36,7 @@ local rows = {}
 ---@field height number
 ---@field at number[] how far the middle of each node is from the beginning of the run
 
-local function axis_of(level) return level.direction == "TB" and 1 or 2 end
+local axis_of = lines.axis_of
 
 -- Returns two sizes of a box: along a row, and across it.
 local function size_of(box, run)

@@ -67,7 +67,7 @@ end
 -- Returns the lines of a level, flat: its links, and from each gate to the frame, since
 -- Graphviz does not always put gates into the first or the last rank.
 local function lines_in(level)
-  local list, axis = {}, level.direction == "TB" and 2 or 1
+  local list, axis = {}, 3 - lines.axis_of(level)
   for _, link in ipairs(level.links) do
     list[#list + 1] = { flat = lines.flat(link.points),
       upper = link.upper.node, lower = link.lower.node }
