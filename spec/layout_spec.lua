@@ -298,8 +298,9 @@ describe("rows", function()
       nodes[4].kind = "connector"
       local result = { direction = "TB", links = {}, composite = { nodes = nodes } }
       for i, pair in ipairs(links) do
-        result.links[i] = { arrow = { parts = {} }, upper = { node = nodes[pair[1]],
-          gate = pair.gate }, lower = { node = nodes[pair[2]] } }
+        result.links[i] = { arrow = { size = { width = 0, height = 0 } },
+          upper = { node = nodes[pair[1]], gate = pair.gate },
+          lower = { node = nodes[pair[2]] } }
       end
       rows.prepare(result)
       return result.bounds
@@ -579,22 +580,23 @@ describe("a label", function()
   end
 
   it("stays where it is if it is near, at its side of the line", function()
-    local function moved(x, y, text, axis)
+    local function moved(x, y, height, axis)
       local at, path = { x, y }, { { 0, 0 }, { 0, 30 }, { 0, 60 }, { 0, 90 } }
       if axis == 2 then path = { { 0, 0 }, { 30, 0 }, { 60, 0 }, { 90, 0 } } end
-      lines.attract(at, text, path, axis)
+      lines.attract(at, { width = 31, height = height }, path, axis)
       return ("%.1f %.1f"):format(at[1], at[2])
     end
-    assert.equal("29.0 50.0", moved(29, 50, "e_go!", 1))
-    assert.equal("21.5 50.0", moved(60, 50, "e_go!", 1))
-    assert.equal("21.5 50.0", moved(60, 50, "e_go!\ne", 1))
-    assert.equal("60.0 500.0", moved(60, 500, "e_go!", 1)) -- the line is elsewhere
-    assert.equal("50.0 18.0", moved(50, 60, "e_go!\ne", 2))
+    assert.equal("29.0 50.0", moved(29, 50, 12, 1))
+    assert.equal("21.5 50.0", moved(60, 50, 12, 1))
+    assert.equal("21.5 50.0", moved(60, 50, 24, 1))
+    assert.equal("60.0 500.0", moved(60, 500, 12, 1)) -- the line is elsewhere
+    assert.equal("50.0 18.0", moved(50, 60, 24, 2))
   end)
 
   it("is at its line between two points of a curve, too", function()
     local at = { 120, 178 }
-    lines.attract(at, "e_go!", { { 0, 0 }, { 20, 150 }, { 20, 250 }, { 0, 430 } }, 1)
+    local path = { { 0, 0 }, { 20, 150 }, { 20, 250 }, { 0, 430 } }
+    lines.attract(at, { width = 31, height = 12 }, path, 1)
     assert.is_true(at[1] > 30 and at[1] < 40, at[1])
   end)
 end)

@@ -75,7 +75,7 @@ local function line_of(arrow, direction)
       direction == "TB" and 1 or 2)
     tip = link.has_head and text_of(link.tip) or tip
     if link.label_at then
-      lines.attract(link.label_at, diagram.label_of(arrow), link.points, axis)
+      lines.attract(link.label_at, arrow.size, link.points, axis)
       label = text_of(link.label_at)
     end
   end
@@ -143,19 +143,24 @@ end
 
 local MOST = 1000 -- nodes; Graphviz needs about a second to lay out so many
 
--- Returns the leaves of a chart, and a graph with all of them.
-local function leaves_of(chart)
-  local leaves, texts = {}, {}
+-- Returns the leaves and arrows of a chart, and a graph with all leaves and labels.
+local function elements_of(chart)
+  local elements, texts = {}, {}
   for _, node in ipairs(chart.nodes) do
     if not node.level then
-      leaves[#leaves + 1], texts[#texts + 1] = node, looks.leaf_text(node)
+      elements[#elements + 1] = node
+      texts[#elements] = looks.leaf_text(node)
     end
   end
-  return leaves, graphs.nodes_text(texts)
+  for _, arrow in ipairs(chart.all) do
+    elements[#elements + 1] = arrow
+    texts[#elements] = looks.label_text(arrow)
+  end
+  return elements, graphs.nodes_text(texts)
 end
 
 -- Returns a function that has Graphviz lay out graphs. In its first run it measures
--- leaves, too, and sets `chart.whole` to the plain layout if that does not fail.
+-- leaves and labels, too, and sets `chart.whole` to the plain layout, if there is one.
 --
 -- Graphviz visits clusters in the order of the addresses of their names. These ascend
 -- in each run only if a new process reads the graph of the chart first.
@@ -164,7 +169,7 @@ local function runner(chart, graph, ask)
   graph = #chart.nodes <= MOST and graph:gsub("^[^\n]*", "digraph {", 1) or ""
   return function(text)
     if is_begun then return ask(text) end
-    local leaves, sizes = leaves_of(chart)
+    local elements, sizes = elements_of(chart)
     local answer, problem = ask(graph .. sizes .. text)
     if not answer and graph ~= "" then
       graph = ""
@@ -173,7 +178,7 @@ local function runner(chart, graph, ask)
     if not answer then return nil, problem end
     local stop = graph ~= "" and select(2, answer:find("\n}\n", 1, true)) or 0
     local boxes, behind = graphs.read_nodes(answer, stop + 1)
-    for i, node in ipairs(leaves) do node.size = boxes[i] end
+    for i, element in ipairs(elements) do element.size = boxes[i] end
     chart.whole = stop > 0 and plain_layout(chart, answer:sub(1, stop)) or nil
     is_begun = true
     return answer:sub(behind)

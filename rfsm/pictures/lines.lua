@@ -11,6 +11,12 @@ local lines = {}
 --- Return the axis across the arrows of a level (1: x, 2: y).
 function lines.axis_of(level) return level.direction == "TB" and 1 or 2 end
 
+--- Return two sizes of a box: along an axis, and across it.
+function lines.size_of(box, axis)
+  if axis == 1 then return box.width, box.height end
+  return box.height, box.width
+end
+
 local function distance(a, b) return max(abs(a[1] - b[1]), abs(a[2] - b[2])) end
 
 local function between(a, b, share)
@@ -68,25 +74,6 @@ function lines.flat(line)
   return flat
 end
 
-local HEIGHT = 12 -- points: of a line in a label
-
--- Returns about the width of a line of text, in points.
-local function width_of(row)
-  local _, narrow = row:gsub("[fijlrt()%[%]/.,: ]", "")
-  local _, wide = row:gsub("[%umw]", "")
-  local _, all = row:gsub("[^\128-\191]", "")
-  return 6.2 * all - 2.6 * narrow + 2.4 * wide
-end
-
---- Return about the size of a label: x, then y.
-function lines.size_of(text)
-  local width, height = 0, 0
-  for row in text:gmatch("[^\n]+") do
-    width, height = max(width, width_of(row)), height + HEIGHT
-  end
-  return { width, height }
-end
-
 local FAR, BESIDE = 14, 6 -- points: distances between a line and its label
 
 -- Returns how far the part of a piece that is between two limits on the other axis
@@ -101,11 +88,12 @@ local function far_between(a, b, low, high, axis)
   return max(between(a, b, first)[axis], between(a, b, last)[axis])
 end
 
---- Move a label to its line if it is far from it. Graphviz bends a line away from its
--- label if there is room. `axis` (1: x, 2: y) is the axis across the arrows.
-function lines.attract(at, text, line, axis)
-  local size, other, reach, last = lines.size_of(text), 3 - axis, nil, nil
-  local side, half = at[axis] - size[axis] / 2, size[other] / 2 + BESIDE
+--- Move a label with the size of a box to its line if it is far from it. Graphviz bends
+-- a line away from its label if there is room. `axis` is the axis across the arrows.
+function lines.attract(at, box, line, axis)
+  local width, depth = lines.size_of(box, axis)
+  local side, half, other = at[axis] - width / 2, depth / 2 + BESIDE, 3 - axis
+  local reach, last
   for _, point in ipairs(lines.flat(line)) do
     local far = last and far_between(last, point, at[other] - half, at[other] + half,
       axis)

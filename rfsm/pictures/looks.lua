@@ -101,6 +101,12 @@ function looks.roomy_label(arrow, room)
     (' CELLPADDING="%d"'):format(room))
 end
 
+--- Return the attributes of a node with the size of the label of an arrow.
+function looks.label_text(arrow)
+  return "shape=plain, fontsize=10, label="
+    .. (arrow.parts[1] and looks.roomy_label(arrow, 0) or '""')
+end
+
 -- Nodes -----------------------------------------------------------------------
 
 local INITIAL = 'shape=circle, label="", width=0.15, height=0.15, color="#222222", '

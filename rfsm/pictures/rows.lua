@@ -11,7 +11,6 @@
 -- @module rfsm.pictures.rows
 -- @license BSD-3-Clause
 
-local diagram = require "rfsm.pictures.diagram"
 local lines = require "rfsm.pictures.lines"
 
 local ceil, ipairs, max, min = math.ceil, ipairs, math.max, math.min
@@ -36,13 +35,7 @@ local rows = {}
 ---@field height number
 ---@field at number[] how far the middle of each node is from the beginning of the run
 
-local axis_of = lines.axis_of
-
--- Returns two sizes of a box: along a row, and across it.
-local function size_of(box, run)
-  if run == 1 then return box.width, box.height end
-  return box.height, box.width
-end
+local axis_of, size_of = lines.axis_of, lines.size_of
 
 -- Rooms: what can be straight -------------------------------------------------
 
@@ -60,19 +53,13 @@ local function can_be_straight(link, a, b)
     and not (a.has_loop or b.has_loop)
 end
 
--- Returns the size of the label of a link: along a row, and across it.
-local function label_of(link, axis)
-  local size = lines.size_of(diagram.label_of(link.arrow))
-  return size[axis], size[3 - axis]
-end
-
 local PAD, GAP = 14, 4 -- points: beside a label, between a line and the next label
 
 -- Returns the room for links, with a label for each above its line.
 local function room_of(list, run)
   local offsets, span, longest, first = {}, 0, 0, 0
   for i, link in ipairs(list) do
-    local length, depth = label_of(link, run)
+    local length, depth = size_of(link.arrow.size, run)
     span, first = i > 1 and span + depth + GAP or 0, i == 1 and depth or first
     offsets[i], longest = -span, max(longest, length)
   end
@@ -211,7 +198,7 @@ local function draw_straight(link, boxes, axis, offset)
   lines.join(line, { at(from, middle) })
   lines.join(line, { at(to - sign * HEAD, middle) })
   link.points, link.tip = lines.moved(line, 0, 0, link.is_turned), at(to, middle)
-  local _, depth = label_of(link, axis)
+  local _, depth = size_of(link.arrow.size, axis)
   link.label_at = at((from + to) / 2, middle + depth / 2 + 1)
 end
 

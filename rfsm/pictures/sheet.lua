@@ -246,7 +246,7 @@ local function lay_out_height(list, aims, run)
   local jobs = {}
   for _, level in ipairs(list) do
     level.shapes, level.kept = level.shapes or {}, {}
-    rows.prepare(level)
+    if aims[2] then rows.prepare(level) end
     for _, aim in ipairs(aims) do add_shapes(jobs, level, aim) end
   end
   local problem = jobs[1] and graphs.lay_out(jobs, run, prepare, rows.draw)
