@@ -109,7 +109,6 @@ build = {
     ["rfsm.pictures.diagram"] = "rfsm/pictures/diagram.lua",
     ["rfsm.pictures.graphs"] = "rfsm/pictures/graphs.lua",
     ["rfsm.pictures.layout"] = "rfsm/pictures/layout.lua",
-    ["rfsm.pictures.levels"] = "rfsm/pictures/levels.lua",
     ["rfsm.pictures.lines"] = "rfsm/pictures/lines.lua",
     ["rfsm.pictures.links"] = "rfsm/pictures/links.lua",
     ["rfsm.pictures.looks"] = "rfsm/pictures/looks.lua",

@@ -72,8 +72,8 @@ local diagram = {}
 ---@field is_cut? true a composite that is drawn without the nodes in it
 ---@field is_outside? true a state outside of the composite that is drawn
 ---@field is_linked? boolean another picture shows it if it is cut or outside
----@field row? integer its row, if its level is in rows, or was in a former picture
----@field is_turned? true the nodes in it run, or have run, from left to right
+---@field row? integer its row, if its level is in rows, or was in a former picture; 0
+-- if the level is turned
 ---@field least? string an attribute for Graphviz: the least width or height of its box
 
 --- A transition.
@@ -246,26 +246,28 @@ local function at_of(tab) return clean(tab.at or "") end
 
 local MODES = { active = "active", done = "done" }
 
-local function is_closed(chart, fqn, depth) return depth == 0 or chart.folded[fqn] end
+-- Adds a node to the chart as the last one in a composite.
+local function add_node(chart, parent, node)
+  node.id, node.nodes, node.arrows = diagram.new_id(chart, node.fqn), {}, {}
+  node.parent, node.depth, node.index = parent, parent.depth + 1, #parent.nodes + 1
+  parent.nodes[node.index], chart.nodes[#chart.nodes + 1] = node, node
+  return node
+end
 
 -- Adds a node of a description to the chart, and the nodes in it down to a depth.
 local function read_node(chart, tab, parent, fqn, depth)
   local kind = diagram.kind_of(tab)
-  local is_cut = kind == "composite" and is_closed(chart, fqn, depth)
+  local is_cut = kind == "composite" and (depth == 0 or chart.folded[fqn]) or nil
   local rows, marks = rows_of(tab)
-  local node = {
-    name = clean(tab.id), fqn = fqn, id = diagram.new_id(chart, fqn), parent = parent,
-    kind = is_cut and "leaf" or kind, is_cut = is_cut or nil,
-    is_linked = chart.has_links,
-    nodes = {}, arrows = {}, rows = rows, marks = marks, at = at_of(tab),
-    mode = MODES[tab.mode], depth = parent.depth + 1,
-    is_final = tab.final, index = 1,
-  }
+  local node = add_node(chart, parent, {
+    name = clean(tab.id), fqn = fqn, kind = is_cut and "leaf" or kind, is_cut = is_cut,
+    is_linked = chart.has_links, rows = rows, marks = marks, at = at_of(tab),
+    mode = MODES[tab.mode], is_final = tab.final,
+  })
   chart.by_fqn[fqn] = node
-  chart.nodes[#chart.nodes + 1] = node
-  for i, subtab in ipairs(is_cut and {} or members(tab)) do
+  for _, subtab in ipairs(is_cut and {} or members(tab)) do
     local subnode = read_node(chart, subtab, node, fqn .. "." .. subtab.id, depth - 1)
-    node.nodes[i], subnode.index, subnode.is_region = subnode, i, tab.regions and true
+    subnode.is_region = tab.regions and true
   end
   return node
 end
@@ -325,15 +327,10 @@ end
 -- Returns the node for a state outside of the drawn composite; the first call adds it.
 local function outside_node(chart, fqn)
   fqn = fqn:gsub("%.initial$", "")
-  local root, node = chart.root, chart.outside[fqn]
-  if node then return node end
-  node = { name = clean(fqn:gsub("^root%.", "")), fqn = fqn, kind = "leaf",
-    parent = root, id = diagram.new_id(chart, fqn), nodes = {},
-    arrows = {}, rows = {}, at = "", depth = root.depth + 1, index = #root.nodes + 1,
-    is_outside = true, is_linked = true }
-  chart.outside[fqn], root.nodes[node.index] = node, node
-  chart.nodes[#chart.nodes + 1] = node
-  return node
+  local name = clean(fqn:gsub("^root%.", ""))
+  chart.outside[fqn] = chart.outside[fqn] or add_node(chart, chart.root, { name = name,
+    fqn = fqn, kind = "leaf", rows = {}, at = "", is_outside = true, is_linked = true })
+  return chart.outside[fqn]
 end
 
 -- Returns the ends of a transition; nil if none of them is in the drawn composite.
@@ -435,10 +432,7 @@ local function read_picture(chart, svg)
   for id, kind, class in svg:gmatch('<g id="([^"]*)" class="(%l+)([^"]*)"') do
     local fqn = id:gsub("&(#?%w+);", ENTITIES)
     local node = chart.kind == "sheet" and chart.by_fqn[fqn]
-    if node then
-      node.row = tonumber(class:match(" row(%d+)"))
-      node.is_turned = class:find(" turned", 1, true) and true or nil
-    end
+    if node then node.row = tonumber(class:match(" row(%d+)")) end
     count = count + 1
     while kind == "node" and fqn and not numbers[fqn] do
       numbers[fqn], fqn = count, fqn:match("^(.*)%.")
@@ -582,7 +576,6 @@ local function read_description(chart, tab, settings)
   if not top then return false end
   for _, name in ipairs(settings.folded or {}) do chart.folded[name] = true end
   chart.root = read_node(chart, top, chart.top, fqn, settings.depth or 1 / 0)
-  chart.top.nodes[1] = chart.root
   if settings.like then keep_order(chart, settings.like) end
   diagram.each_transition(tab, marsh.gen_event_text(), function(...)
     read_transition(chart, ...)

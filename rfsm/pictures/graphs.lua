@@ -138,6 +138,15 @@ local function has_header_rank(level)
   return is_upper and level.direction == "TB" and level.composite.fqn ~= nil
 end
 
+local function add_rank(lines, rank, ids)
+  if ids[1] then add(lines, 1, ("{ rank=%s; %s }"):format(rank, concat(ids, "; "))) end
+end
+
+-- Keeps a node below another one.
+local function add_below(lines, upper, lower)
+  add(lines, 1, ("%s -> %s [style=invis, weight=0]"):format(upper, lower))
+end
+
 -- Adds the header of a composite, and its gates: the upper gates in the first rank, the
 -- lower gates in the last.
 local function add_border(lines, level)
@@ -154,12 +163,8 @@ local function add_border(lines, level)
     local list = gate.is_upper and first or last
     list[#list + 1] = gate.id
   end
-  local function add_rank(rank, ids)
-    if not ids[1] then return end
-    add(lines, 1, ("{ rank=%s; %s }"):format(rank, concat(ids, "; ")))
-  end
-  add_rank("source", first)
-  add_rank("sink", last)
+  add_rank(lines, "source", first)
+  add_rank(lines, "sink", last)
 end
 
 -- Returns the name of node i in a graph, or the name of its run.
@@ -187,9 +192,7 @@ local function add_order(lines, level)
     is_lower[link.upper.node ~= link.lower.node and link.lower.node or false] = true
   end
   for i, node in ipairs(level.composite.nodes) do
-    if not is_lower[node] then
-      add(lines, 1, ("h -> %s [style=invis, weight=0]"):format(id_of(level, i)))
-    end
+    if not is_lower[node] then add_below(lines, "h", id_of(level, i)) end
   end
 end
 
@@ -199,29 +202,25 @@ local function add_regions(lines, composite)
   for i, node in ipairs(composite.nodes) do
     ids[#ids + 1] = node.is_region and "n" .. i or nil
   end
-  if not ids[2] then return end
-  add(lines, 1, ("{ rank=same; %s [style=invis] }"):format(concat(ids, " -> ")))
+  add_rank(lines, "same", { ids[2] and concat(ids, " -> ") .. " [style=invis]" })
 end
 
 -- Puts the nodes of each row into one rank, below the row before it, and all rows
 -- between the upper gates and the lower ones.
 local function add_rows(lines, level)
-  local function add_below(upper, lower)
-    add(lines, 1, ("%s -> %s [style=invis, weight=0]"):format(upper, lower))
-  end
   local before
   for _, row in ipairs(level.rows or {}) do
     local ids = {}
     for i, run in ipairs(row) do ids[i] = id_of(level, run.first) end
-    add(lines, 1, ("{ rank=same; %s }"):format(concat(ids, "; ")))
-    if before then add_below(before, ids[1]) end
+    add_rank(lines, "same", ids)
+    if before then add_below(lines, before, ids[1]) end
     before = ids[1]
   end
   for _, gate in ipairs(before and level.gates or {}) do
     if gate.is_upper then
-      add_below(gate.id, id_of(level, level.rows[1][1].first))
+      add_below(lines, gate.id, id_of(level, level.rows[1][1].first))
     else
-      add_below(before, gate.id)
+      add_below(lines, before, gate.id)
     end
   end
 end

@@ -130,14 +130,12 @@ local function tooltip_of(element)
   return element.at ~= "" and ", tooltip=" .. quoted(element.at) or ""
 end
 
--- Returns classes that note the shape of a state on a sheet, for the next picture.
-local function shape_of(node)
-  return (node.row and " row" .. node.row or "") .. (node.is_turned and " turned" or "")
-end
+-- Returns a class that notes the row of a state on a sheet, for the next picture.
+local function row_of(node) return node.row and " row" .. node.row or "" end
 
 local function look_of(element, kind)
   return ('class="%s%s%s%s%s"%s%s%s'):format(kind,
-    element.is_region and " region" or "", shape_of(element),
+    element.is_region and " region" or "", row_of(element),
     element.mode and " " .. element.mode or "",
     element.mark and " " .. element.mark or "",
     element.mode and LOOKS.active or "", element.mark and LOOKS[element.mark] or "",
@@ -154,11 +152,11 @@ end
 --- Return the attributes of a node that is not a composite.
 function looks.leaf_text(node)
   if node.kind == "initial" then
-    return INITIAL .. (', class="initial%s"'):format(shape_of(node))
+    return INITIAL .. (', class="initial%s"'):format(row_of(node))
   end
   if node.kind == "connector" then
     return CONNECTOR:format(node.is_on_border and "white" or "#555555", html(node.name))
-      .. (', class="connector%s"'):format(shape_of(node))
+      .. (', class="connector%s"'):format(row_of(node))
   end
   return ("label=%s, %s%s%s%s%s%s"):format(looks.state_label(node),
     look_of(node, "state"), node.least or "",

@@ -6,14 +6,17 @@
 -- level have shapes for one aim. The shapes of all levels of one height are laid out in
 -- one run of Graphviz.
 --
+-- In a *turned* shape arrows lead from left to right, and leaves that are linked to one
+-- node only are at both sides of this node.
+--
 -- @module rfsm.pictures.sheet
 -- @license BSD-3-Clause
 
 local choice = require "rfsm.pictures.choice"
 local graphs = require "rfsm.pictures.graphs"
-local levels = require "rfsm.pictures.levels"
 local lines = require "rfsm.pictures.lines"
 local links = require "rfsm.pictures.links"
+local looks = require "rfsm.pictures.looks"
 local order = require "rfsm.shared.order"
 local rows = require "rfsm.pictures.rows"
 
@@ -144,6 +147,64 @@ local function keep_best(level, size, keys)
   if kept.former and crossings_of(kept.former) == huge then kept.former = kept.first end
 end
 
+-- Turned levels ---------------------------------------------------------------
+
+-- Can a level run from left to right? It cannot if it has regions, if an arrow crosses
+-- its frame or the frame of a composite in it, or is a loop at such a composite.
+local function can_be_turned(level)
+  return not level.gates[1] and not order.any(level.composite.nodes, function(node)
+    return node.is_region or node.level and (node.has_loop or node.level.gates[1])
+  end)
+end
+
+local function swap(link)
+  link.upper, link.lower, link.is_turned = link.lower, link.upper, not link.is_turned
+end
+
+-- Returns a table by hub. A hub is the only node to which some leaves are linked, apart
+-- from loops; its value is a list with the links of each of these leaves.
+local function rays_of(level)
+  local hub_of, links_of, rays = {}, {}, {}
+  for _, link in ipairs(level.links) do
+    for _, pair in ipairs { { link.upper, link.lower }, { link.lower, link.upper } } do
+      local node, other = pair[1].node, pair[2].node
+      if node ~= other then
+        links_of[node] = links_of[node] or {}
+        links_of[node][#links_of[node] + 1] = link
+        hub_of[node] = (hub_of[node] == nil or hub_of[node] == other) and other
+      end
+    end
+  end
+  for _, node in ipairs(level.composite.nodes) do
+    local hub = node.kind == "leaf" and hub_of[node]
+    if hub then
+      rays[hub] = rays[hub] or {}
+      rays[hub][#rays[hub] + 1] = links_of[node]
+    end
+  end
+  return rays
+end
+
+local FEW = 4 -- leaves of a hub: if there are no more, all stay at the same side of it
+
+local BESIDE = 0.12 -- inches between arrows at a hub
+
+-- Puts every second leaf of a hub before the hub, by turning its links, and makes the
+-- hub as high as the arrows at each side of it need.
+local function spread(level)
+  local rays = rays_of(level)
+  level.least = {}
+  for _, hub in ipairs(level.composite.nodes) do
+    local leaves, count = rays[hub] or {}, 0
+    for i, list in ipairs(#leaves > FEW and leaves or {}) do
+      count, level.is_spread = count + #list, true
+      for _, link in ipairs(i % 2 == 0 and list or {}) do swap(link) end
+      level.least[hub] = ", height="
+        .. looks.number_text(max(0.75, count / 2 * BESIDE))
+    end
+  end
+end
+
 -- Deals: the rows of a level --------------------------------------------------
 
 local LONG = 6 -- nodes; the first shape of a level with fewer is not turned
@@ -154,12 +215,6 @@ local function boxes_of(level, kids)
   local boxes = {}
   for i, node in ipairs(level.composite.nodes) do boxes[i] = kids[i] or node.size end
   return boxes
-end
-
--- Can a level that runs down, and is no region beside others, run from left to right?
-local function can_be_turned(level)
-  return level.direction == "TB" and not level.composite.is_region
-    and levels.can_be_turned(level)
 end
 
 -- Returns the rows of a level in a former picture. A new node is in the row of the node
@@ -177,8 +232,8 @@ end
 
 -- Returns the deal that a level has in a former picture.
 local function former_deal(level)
-  if level.composite.is_turned and can_be_turned(level) then return "turned" end
   for _, node in ipairs(level.composite.nodes) do
+    if node.row == 0 then return can_be_turned(level) and "turned" or "plain" end
     if node.row then return former_rows(level) end
   end
   return "plain"
@@ -187,7 +242,7 @@ end
 -- Returns the deals that are tried for a level with the shapes `kids` in it.
 local function deals_of(level, aim, kids)
   if aim == "first" then
-    local is_long = level.composite.nodes[LONG] and levels.can_be_turned(level)
+    local is_long = level.composite.nodes[LONG] and can_be_turned(level)
     return { "plain", is_long and "turned" or nil }
   end
   if aim == "former" then return { former_deal(level) } end
@@ -228,12 +283,35 @@ local function add_shapes(jobs, level, aim)
   end
 end
 
+-- Makes the regions in a composite equally high, or equally wide if their arrows lead
+-- from left to right.
+local function align_regions(composite)
+  local height, width, regions = 0, 0, {}
+  for _, node in ipairs(composite.nodes) do
+    if node.is_region and node.level then
+      regions[#regions + 1] = node
+      height, width = max(height, node.level.height), max(width, node.level.width)
+    end
+  end
+  for _, node in ipairs(regions) do
+    local old, level = node.level, links.copy(node.level)
+    if level.direction == "TB" then
+      level.y, level.height = old.y + height - old.height, height
+    else
+      level.header = { x = old.header.x + (width - old.width) / 2, y = old.header.y }
+      level.width = width
+    end
+    node.level = level
+  end
+end
+
 local function prepare(shape)
   local deal = shape.deal
   for _, kid in order.each(shape.kids) do put(kid) end -- any order
-  levels.align_regions(shape.composite)
+  align_regions(shape.composite)
   if deal == "turned" then
-    levels.turn(shape)
+    shape.direction = "LR"
+    spread(shape)
   elseif deal ~= "plain" then
     rows.apply(shape, deal, boxes_of(shape, shape.kids))
   end
@@ -252,9 +330,28 @@ local function lay_out_height(list, aims, run)
   local problem = jobs[1] and graphs.lay_out(jobs, run, prepare, rows.draw)
   for _, level in ipairs(problem and {} or list) do
     local plain = level.shapes[1]
-    if not levels.is_wide(plain) then level.kept.first = plain end
+    local length, depth = lines.size_of(plain, lines.axis_of(plain))
+    if length <= 2 * depth then level.kept.first = plain end
   end
   return problem
+end
+
+-- Returns lists of levels. A level in the first list contains no other level; a level
+-- in the second list contains only levels of the first list, and so on. The level
+-- around the root is there if an arrow is in it, or if the root is a leaf.
+local function by_height(chart)
+  local list = {}
+  local function visit(composite)
+    local height = 1
+    for _, node in ipairs(composite.nodes) do
+      if node.level then height = max(height, visit(node) + 1) end
+    end
+    list[height] = list[height] or {}
+    list[height][#list[height] + 1] = composite.level
+    return height
+  end
+  visit(chart.root.level and not chart.top.level.links[1] and chart.root or chart.top)
+  return list
 end
 
 -- Is a chart larger than its sheet, by Graphviz alone and, if it has no composites, in
@@ -272,7 +369,7 @@ end
 -- chart `is_large`, as the first run shows. Return a problem if there is one.
 ---@return string? problem
 function sheet.lay_out(chart, run)
-  local keys, heights, aims = {}, levels.by_height(chart), { "first" }
+  local keys, heights, aims = {}, by_height(chart), { "first" }
   local problem = lay_out_height(heights[1], aims, run)
   if problem then return problem end
   chart.is_large = is_large(chart, heights)
@@ -300,12 +397,11 @@ end
 function sheet.put(shape)
   local composite, deal = shape.composite, shape.deal
   put(shape)
-  composite.is_turned = deal == "turned" or nil
   for i, node in ipairs(composite.nodes) do
-    node.row = type(deal) == "table" and deal[i] or nil
+    node.row = deal == "turned" and 0 or type(deal) == "table" and deal[i] or nil
     if shape.kids[i] then sheet.put(shape.kids[i]) end
   end
-  levels.align_regions(composite)
+  align_regions(composite)
 end
 
 return sheet
