@@ -273,7 +273,7 @@ function common.encode_all(options, encode)
     local title = (chart.name_of(file):match("[^/]+$") or file):gsub("%.lua$", "")
     local fsm, names = load_machine(file, options.stub, options.machine)
     local text = common.call(file, encode, fsm, title, names[1] and line_of(names))
-    texts[i] = text:sub(-1) == "\n" and text or text .. "\n"
+    texts[i] = text and (text:gsub("[^\n]$", "%0\n"))
   end
   return texts
 end

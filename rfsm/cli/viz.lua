@@ -85,7 +85,8 @@ end
 local function format_of(options, parser)
   local file = options.output
   local ending = (file:match("%.(%w+)$") or ""):lower()
-  local format = options.format or file == "-" and "dot" or BY_ENDING[ending] or ending
+  local format = options.format or options.pages and ending ~= "pdf" and "svg"
+    or file == "-" and "dot" or BY_ENDING[ending] or ending
   if IS_TEXT[format] == nil then
     parser:error("the ending of '" .. file .. "' is no format, -T expected ("
       .. concat(FORMATS, ", ") .. ")")
@@ -141,28 +142,32 @@ local function refuse_picture(options, parser)
   end
 end
 
+-- Has a function draw the chart in each file. Returns the texts, the last machine, and
+-- the options of its picture.
+local function encode(options, draw)
+  local looks, machine = looks_of(options), nil
+  local texts = common.encode_all(options, function(fsm, title, foot)
+    looks.title, looks.foot, machine = title, foot or nil, fsm
+    return draw(fsm, looks)
+  end)
+  return texts, machine, looks
+end
+
 function viz.run(options, parser)
   refuse_picture(options, parser)
-  if options.pages and not options.output:find("%.pdf$") then
-    options.format = options.format or "svg"
-  end
   local format = format_of(options, parser)
-  if options.pages and (IS_TEXT[format] or options.output == "-") then
+  local is_text = IS_TEXT[format]
+  if options.pages and (is_text or options.output == "-") then
     parser:error("--pages needs -o FOLDER or FILE.pdf, and no text for -T")
   end
-  local exporter = require("rfsm." .. (IS_TEXT[format] and format or "dot"))
-  local looks, machine = looks_of(options), nil
-  local text = concat(common.encode_all(options, function(fsm, title, foot)
-    looks.title, looks.foot, machine = title, foot or nil, fsm
-    return exporter.encode(fsm, looks)
-  end))
+  local exporter = is_text and require("rfsm." .. format) or dot
+  local texts, machine, looks = encode(options,
+    (is_text or options.pages) and exporter.encode or dot.layout)
+  if is_text then return common.write(options.output, concat(texts)) end
   if options.pages then return write_pages(options, machine, looks, format) end
-  if not IS_TEXT[format] then
-    -- if Graphviz cannot lay out a chart, it may still draw the text of `encode`
-    local graph = exporter.layout(machine, looks) or text
-    text = try(options, exporter.render(graph, format))
-  end
-  common.write(options.output, text)
+  -- if Graphviz cannot lay out a chart, it may still draw the text of `encode`
+  local graph = texts[1] or dot.encode(machine, looks)
+  common.write(options.output, try(options, dot.render(graph, format)))
 end
 
 return viz

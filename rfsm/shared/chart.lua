@@ -78,7 +78,7 @@ function chart.reason(file, failure)
   if text:find("^%a+: 0x") then text = "failed with a " .. type(failure) end
   text = text:gsub("^rfsm%.json: ", ""):gsub("^rfsm%.load[_str]*: ", "")
     :gsub("^failed to load chunk: ", ""):gsub("^rfsm%.%l+%.encode: ", "")
-    :gsub("'=stdin'", "stdin")
+    :gsub("^rfsm%.dot%.layout: ", ""):gsub("'=stdin'", "stdin")
   text = text .. hint_for(text)
   if text:find(chart.name_of(file), 1, true) then return text end
   return chart.name_of(file) .. ": " .. text
