@@ -85,12 +85,6 @@ end
 -- crossing is worth text that is 7 % larger.
 local MORE, FORMER, TEXT = 2, 4, 14
 
--- Returns how bad the text of a layout is on a sheet, in crossings. Text that is larger
--- than just readable is of no advantage.
-local function text_cost(layout, size)
-  return TEXT * log(max(1, READABLE / choice.scale(size, layout.width, layout.height)))
-end
-
 --- Return the layout with few crossings and large text; of equal ones the first. The
 -- layout of the former picture, `former`, wins unless another one is much better. No
 -- layout has many more crossings than the best one of the first two.
@@ -102,7 +96,10 @@ function choice.best(layouts, crossings_of, size, former)
   local best, least = layouts[1], huge
   local most = MORE + min(crossings_of(best), crossings_of(layouts[2] or best))
   for _, layout in ipairs(layouts) do
-    local cost = text_cost(layout, size) - (layout == former and FORMER or 0)
+    -- text that is larger than just readable is of no advantage
+    local scale = choice.scale(size, layout.width, layout.height)
+    local cost = TEXT * log(max(1, READABLE / scale))
+      - (layout == former and FORMER or 0)
     -- crossings are counted only where they matter
     local crossings = cost < least and crossings_of(layout) or huge
     if crossings <= most and cost + crossings < least then

@@ -11,6 +11,7 @@
 
 local diagram = require "rfsm.pictures.diagram"
 local looks = require "rfsm.pictures.looks"
+local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 
 local ceil, floor, max, min = math.ceil, math.floor, math.max, math.min
@@ -130,12 +131,14 @@ local function box_text(box) return 'shape=plain, style="", label=<' .. box .. "
 
 local POINT = '%s [shape=box, style=invis, label="", width=0.01, height=0.01]'
 
+local function has_upper_gate(level)
+  return order.any(level.gates, function(gate) return gate.is_upper end)
+end
+
 -- Is the header of a composite (its name and rows) a node in the first rank, beside the
 -- upper gates? If not, the header is the label of the graph.
 local function has_header_rank(level)
-  local is_upper = false
-  for _, gate in ipairs(level.gates) do is_upper = is_upper or gate.is_upper end
-  return is_upper and level.direction == "TB" and level.composite.fqn ~= nil
+  return level.direction == "TB" and level.composite.fqn and has_upper_gate(level)
 end
 
 local function add_rank(lines, rank, ids)
@@ -384,13 +387,13 @@ function graphs.measure(level)
   level.width = ceil(level.inner_width) + 2 * margin
   level.height = ceil(level.inner_height) + 2 * margin
   level.x, level.y = margin, level.height - ceil(level.inner_height) - margin
-  local is_centred = level.header ~= nil
   for _, gate in ipairs(level.gates) do
-    is_centred = is_centred and not gate.is_upper
     gate.offset = level.direction == "TB" and gate.at[1] + level.x
       or level.height - gate.at[2] - level.y
   end
-  if is_centred then level.header.x = level.inner_width / 2 end
+  if level.header and not has_upper_gate(level) then
+    level.header.x = level.inner_width / 2
+  end
 end
 
 --- Have Graphviz lay out levels; return a problem if there is one.
@@ -417,18 +420,25 @@ function graphs.lay_out(list, run, prepare, done)
   end
 end
 
---- Return a graph with nodes, whose attributes are given: Graphviz shall measure them.
-function graphs.nodes_text(list)
-  local lines = { "digraph {", looks.head("TB") }
-  for i, node in ipairs(list) do add(lines, 1, ("n%d [%s]"):format(i, node)) end
-  return concat(lines, "\n") .. "\n}\n"
-end
-
---- Read the boxes of such nodes from an answer. Return the position behind them, too.
-function graphs.read_nodes(text, position)
-  local level = { gates = {}, links = {} }
-  position = read_level(level, text, position)
-  return level.boxes, position
+--- Return a graph with the leaves and the labels of a chart, whose size Graphviz finds.
+-- Also return a function that reads the sizes from an answer, from a position on. It
+-- returns the position behind them.
+function graphs.sizes_of(chart)
+  local elements, lines = {}, { "digraph {", looks.head("TB") }
+  local function add_element(element, attributes)
+    elements[#elements + 1] = element
+    add(lines, 1, ("n%d [%s]"):format(#elements, attributes))
+  end
+  for _, node in ipairs(chart.nodes) do
+    if not node.level then add_element(node, looks.leaf_text(node)) end
+  end
+  for _, arrow in ipairs(chart.all) do add_element(arrow, looks.label_text(arrow)) end
+  return concat(lines, "\n") .. "\n}\n", function(answer, position)
+    local level = { gates = {}, links = {} }
+    position = read_level(level, answer, position)
+    for i, element in ipairs(elements) do element.size = level.boxes[i] end
+    return position
+  end
 end
 
 return graphs

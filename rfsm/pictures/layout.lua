@@ -143,22 +143,6 @@ end
 
 local MOST = 1000 -- nodes; Graphviz needs about a second to lay out so many
 
--- Returns the leaves and arrows of a chart, and a graph with all leaves and labels.
-local function elements_of(chart)
-  local elements, texts = {}, {}
-  for _, node in ipairs(chart.nodes) do
-    if not node.level then
-      elements[#elements + 1] = node
-      texts[#elements] = looks.leaf_text(node)
-    end
-  end
-  for _, arrow in ipairs(chart.all) do
-    elements[#elements + 1] = arrow
-    texts[#elements] = looks.label_text(arrow)
-  end
-  return elements, graphs.nodes_text(texts)
-end
-
 -- Returns a function that has Graphviz lay out graphs. In its first run it measures
 -- leaves and labels, too, and sets `chart.whole` to the plain layout, if there is one.
 --
@@ -169,7 +153,7 @@ local function runner(chart, graph, ask)
   graph = #chart.nodes <= MOST and graph:gsub("^[^\n]*", "digraph {", 1) or ""
   return function(text)
     if is_begun then return ask(text) end
-    local elements, sizes = elements_of(chart)
+    local sizes, read_sizes = graphs.sizes_of(chart)
     local answer, problem = ask(graph .. sizes .. text)
     if not answer and graph ~= "" then
       graph = ""
@@ -177,11 +161,9 @@ local function runner(chart, graph, ask)
     end
     if not answer then return nil, problem end
     local stop = graph ~= "" and select(2, answer:find("\n}\n", 1, true)) or 0
-    local boxes, behind = graphs.read_nodes(answer, stop + 1)
-    for i, element in ipairs(elements) do element.size = boxes[i] end
     chart.whole = stop > 0 and plain_layout(chart, answer:sub(1, stop)) or nil
     is_begun = true
-    return answer:sub(behind)
+    return answer:sub(read_sizes(answer, stop + 1))
   end
 end
 

@@ -91,12 +91,12 @@ function rows.prepare(level)
     end
   end
   for i = 1, #level.composite.nodes - 1 do
-    local list = pairs_of[i] or {}
-    level.rooms[i] = room_of(list, axis_of(level))
-    if level.rooms[i].span > HIGHEST then
-      separate(level, i, i + 1, #list)
-      level.rooms[i] = room_of({}, axis_of(level))
+    local room = room_of(pairs_of[i] or {}, axis_of(level))
+    if room.span > HIGHEST then
+      separate(level, i, i + 1, #room.links)
+      room = room_of({}, axis_of(level))
     end
+    level.rooms[i] = room
   end
 end
 

@@ -241,16 +241,13 @@ end
 
 -- Returns the deals that are tried for a level with the shapes `kids` in it.
 local function deals_of(level, aim, kids)
-  if aim == "first" then
-    local is_long = level.composite.nodes[LONG] and can_be_turned(level)
-    return { "plain", is_long and "turned" or nil }
-  end
   if aim == "former" then return { former_deal(level) } end
-  local nodes, deals = level.composite.nodes, {}
-  if nodes[2] and not nodes[1].is_region and level.bent <= LARGE then
+  local nodes, deals, is_first = level.composite.nodes, {}, aim == "first"
+  if nodes[2] and not (is_first or nodes[1].is_region) and level.bent <= LARGE then
     deals = rows.deals(level, boxes_of(level, kids))
   end
   deals[#deals + 1] = "plain"
+  if is_first and not nodes[LONG] then return deals end
   deals[#deals + 1] = can_be_turned(level) and "turned" or nil
   return deals
 end
