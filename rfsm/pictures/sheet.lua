@@ -169,18 +169,14 @@ local function rays_of(level)
     for _, pair in ipairs { { link.upper, link.lower }, { link.lower, link.upper } } do
       local node, other = pair[1].node, pair[2].node
       if node ~= other then
-        links_of[node] = links_of[node] or {}
-        links_of[node][#links_of[node] + 1] = link
+        order.append(links_of, node, link)
         hub_of[node] = (hub_of[node] == nil or hub_of[node] == other) and other
       end
     end
   end
   for _, node in ipairs(level.composite.nodes) do
     local hub = node.kind == "leaf" and hub_of[node]
-    if hub then
-      rays[hub] = rays[hub] or {}
-      rays[hub][#rays[hub] + 1] = links_of[node]
-    end
+    if hub then order.append(rays, hub, links_of[node]) end
   end
   return rays
 end
@@ -343,8 +339,7 @@ local function by_height(chart)
     for _, node in ipairs(composite.nodes) do
       if node.level then height = max(height, visit(node) + 1) end
     end
-    list[height] = list[height] or {}
-    list[height][#list[height] + 1] = composite.level
+    order.append(list, height, composite.level)
     return height
   end
   visit(chart.root.level and not chart.top.level.links[1] and chart.root or chart.top)
