@@ -124,12 +124,21 @@ do
     }
   end
 
+  -- Has a table a class of its own, which an element would lose, or that is protected?
+  local function is_object(t)
+    local class = not (kind_of(t) or rfsm.is_foreign(t)) and getmetatable(t)
+    return class and (type(class) ~= "table" or rawget(class, "__index") ~= nil)
+  end
+
   -- Makes a class its own constructor: X{...} or X:new{...} marks a table as an element
   -- of class X. An element made by base:new{...} inherits from the element `base`.
   function define(class, name)
     local function mark(base, t, level)
       if type(t) ~= "table" or rawequal(t, rfsm) then
         error("rfsm." .. name .. ": table expected, " .. rfsm.got(t), level + 1)
+      elseif is_object(t) then
+        error("rfsm." .. name .. ": plain table expected, got an object, whose class "
+          .. "would be lost (make it a field of the " .. name .. ")", level + 1)
       end
       if rawget(t, "_parent") ~= nil and kind_of(t) then return t end -- in a machine
       rfsm.note_location(t, level + 1)

@@ -333,6 +333,21 @@ describe("a table of somebody else", function()
     assert.is_true(rfsm.is_composite(marked("state", { a = marked "state" })))
   end)
 
+  it("is refused with a class, which it would lose", function()
+    local class = {}
+    class.__index = class
+    for _, name in ipairs { "state", "trans", "conn" } do
+      for _, meta in ipairs { class, { __metatable = "mine" } } do
+        local object = setmetatable({}, meta)
+        local text = select(2, pcall(function() local _ = rfsm[name](object) end))
+        assert.matches("^%S*idioms_spec.lua:%d+: rfsm." .. name .. ": plain table "
+          .. "expected, got an object, whose class would be lost", text)
+      end
+    end
+    local decoded = setmetatable({}, { __jsontype = "object" })
+    assert.is_true(rfsm.is_state(state(decoded)))
+  end)
+
   it("is a model, or a part of one", function()
     local trace = {}
     local fsm = started {
