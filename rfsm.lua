@@ -513,13 +513,23 @@ local function words(name, ...)
   return text ~= "" and text or name
 end
 
--- Runs the chunk of a chart and returns its root state. After a tail call, as in
--- `return rfsm.state{...}`, the line of the root is not known: line 1 is recorded.
+-- Returns the place of the last `return` at the margin of a file; line 1 if there is
+-- none. After a tail call, as in `return rfsm.state{...}`, it stands for the root.
+local function place_of_return(file)
+  local lines, line, found = find_global("io", "lines"), 0, 1
+  for text in lines and lines(file) or function() end do
+    line = line + 1
+    if text:find("^return%f[^%w_]") then found = line end
+  end
+  return file .. ":" .. found
+end
+
+-- Runs the chunk of a chart and returns its root state.
 local function run_chunk(chunk, file, where, accepts)
   local model = chunk(file)
   if accepts and accepts(model) then return model end
   if not is_state(model) then error(where .. " found." .. advise("chart", model), 0) end
-  made_at[model] = made_at[model] or file and file .. ":1"
+  made_at[model] = made_at[model] or file and place_of_return(file)
   return model
 end
 

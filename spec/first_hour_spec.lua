@@ -243,7 +243,7 @@ return state {
   INITIAL,
   trans { src = "a", tgt = "b", events = { "e_x" } },
   trans { src = "b", tgt = "a", events = { "e_x" } } }
---C :1: warning: root: 'a' stands twice, the first one is lost (the second is in line
+--C :2: warning: root: 'a' stands twice, the first one is lost (the second is in line
     4) [lost]
 == states_list
 -- events: e_go
@@ -501,7 +501,7 @@ return state { dbg = rfsmpp, a = state {}, b = state {},
   INITIAL,
   trans { src = "a", tgt = "b", events = { "e_go" } },
   BACK }
---C :1: root.dbg: function, true or false expected, got table
+--C :2: root.dbg: function, true or false expected, got table
 == doo_waits_in_a_loop
 -- events: -
 local ready = false

@@ -259,9 +259,9 @@ local MISTAKES = [[
 --W no outgoing transitions from node 'root.c'
 return rfsm.state { a = rfsm.state {} }
 --> 1: root: the root needs an initial transition INITIAL
-local a = rfsm.state {} -- a root in a tail call has the first line of its file
+local a = rfsm.state {} -- a root in a tail call has the line of the last return
 return rfsm.state { a = a }
---> 1: root: the root needs an initial transition INITIAL
+--> 2: root: the root needs an initial transition INITIAL
 return { a = {} }
 --> raises rfsm.load: no valid rfsm in file 'chart.lua' found. (did you mean: return
     rfsm.state{...}?)

@@ -59,10 +59,7 @@ local function read_file(name)
   if not tree then return nil end
   local file = { functions = functions, undefined = {}, tested = {}, told = {},
     lost = {}, called = {} }
-  local last = tree[#tree] -- the root that is returned is located in line 1
-  local root = last and last.tag == "Return" and last[1] and last[1][#last[1]]
   walk(tree, function(node)
-    if node == root then node.line = 1 end
     if node.tag == "Table" then bodies.note_table(file, node) end
     bodies.note_method(node)
     note_tested(node, file.tested)
