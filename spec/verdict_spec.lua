@@ -594,6 +594,8 @@ describe("options of an exploration", function()
     assert.equal("table", type(explore({ [4] = go("a", "b", "await(e_y)") },
       { "e_y" })))
     assert.equal("table", type(explore({ [4] = go("a", "b", { yes }) }, { "e_y" })))
+    assert.equal("table", type(explore({ properties = {
+      after "e_y".never "root.b" } }, { "e_x", "e_y" })))
   end)
 
   it("have no event of after that a machine would make itself, and does not", function()

@@ -567,7 +567,7 @@ end
 -- Returns the properties in the root of the model, and those in the options.
 local function properties_of(model, options)
   local given = {}
-  for _, source in ipairs { model.properties or {}, options.properties or {} } do
+  for _, source in ipairs { model.properties or {}, options.properties } do
     if type(source) == "table" and not rfsm.is_fsmobj(source) then
       for key, property in order.each(source) do -- any order: sorted later
         given[type(key) == "string" and key or property] = property
@@ -694,8 +694,9 @@ end
 ---@param options rfsm_checks.Options
 ---@return rfsm_checks.Exploration
 function verdict.of(model, options)
+  options.properties = properties_of(model, options)
   local own = subject.new(model, options)
-  local list = properties.list_for(own, properties_of(model, options))
+  local list = properties.list_for(own, options.properties)
   local result = judge_chart(model, own, list, options)
   if not result then
     options.multiply = true
