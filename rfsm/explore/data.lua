@@ -236,15 +236,13 @@ end
 -- Adds the guards that get an example of `classes`, if they only read: their answer is
 -- known.
 local function add_guards(self, fsm)
-  for _, entry in ipairs(order.is_empty(self.classes) and {} or rfsm.machines(fsm)) do
-    for _, tr in ipairs(rfsm.elements(entry.machine, rfsm.is_trans)) do
-      local has_example = order.any(tr.events or {}, function(event)
-        return self.is_example[event]
-      end)
-      if has_example and tr.guard and writes.only_reads(tr.guard)
-        and not match.has(self.run_list, tr.guard) then
-        self.run_list[#self.run_list + 1] = tr.guard
-      end
+  for _, tr in ipairs(match.transitions_of(fsm)) do
+    local has_example = order.any(tr.events or {}, function(event)
+      return self.is_example[event]
+    end)
+    if has_example and tr.guard and writes.only_reads(tr.guard)
+      and not match.has(self.run_list, tr.guard) then
+      self.run_list[#self.run_list + 1] = tr.guard
     end
   end
 end

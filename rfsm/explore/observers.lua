@@ -105,13 +105,6 @@ local function new_machine(chart)
   return fsm
 end
 
--- Does a transition lead to a leaf, or into a composite around it?
-local function is_target(self, leaf)
-  return order.any(rfsm.elements(self.fsm, rfsm.is_trans), function(tr)
-    return tr.tgt ~= "internal" and location.is_inside(leaf, tr.tgt)
-  end)
-end
-
 local function add_leaves(self)
   local bad = {}
   for _, leaf in ipairs(rfsm.elements(self.fsm, rfsm.is_leaf)) do
@@ -119,9 +112,10 @@ local function add_leaves(self)
     if leaf._id == "bad" then bad[#bad + 1] = leaf end
   end
   if not bad[1] then refuse(self.fsm, "no leaf of the observer is named 'bad'") end
-  if not order.any(bad, function(leaf) return is_target(self, leaf) end) then
-    refuse(self.fsm, "no transition leads to the leaf 'bad'")
-  end
+  local is_target = order.any(rfsm.elements(self.fsm, rfsm.is_trans), function(tr)
+    return order.any(bad, function(leaf) return location.is_inside(leaf, tr.tgt) end)
+  end)
+  if not is_target then refuse(self.fsm, "no transition leads to the leaf 'bad'") end
   rfsm.run(self.fsm)
   if not self.fsm._act_leaf then refuse(self.fsm, "the observer cannot be entered") end
   self.first = self.fsm._act_leaf._fqn

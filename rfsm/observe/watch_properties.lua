@@ -32,6 +32,7 @@ local watch_properties = {}
 ---@class rfsm_checks.Monitor
 ---@field name string
 ---@field property rfsm_checks.Property
+---@field event any the event that the property means
 ---@field state string of the monitor: a word such as "first", for `monitors.look`
 ---@field clocks number[] the times at which the clocks were started
 ---@field observer? rfsm_checks.Observer
@@ -45,7 +46,6 @@ local watch_properties = {}
 ---@field is_timed boolean does a property have a time limit?
 ---@field now number the time at which the iteration began, in seconds
 ---@field leaf rfsm.State|false the active leaf when the iteration began
----@field meant table<any, any> event of a property -> the event that it means
 ---@field snapshot fun(): fun(name: string): boolean `active`, whose answers stay
 ---@field hears table<any, true> the words that observers hear
 ---@field hears_more boolean is there such a word?
@@ -178,29 +178,23 @@ end
 
 -- Returns the event that a property means. It may be only the name of an event with
 -- data, if no transition has a text of that name.
-local function meant(own, event)
-  local example = own.meant[event]
-  if example == nil then
-    local set = alphabet.of_all(own.fsm).set
-    local is_name = type(event) == "string" and not set[event]
-      and set[rfsm.named(event)]
-    example = match.example_of(is_name and rfsm.named(event) or event)
-    own.meant[event] = example
-  end
-  return example
+local function meant(set, event)
+  local is_name = type(event) == "string" and not set[event] and set[rfsm.named(event)]
+  return match.example_of(is_name and rfsm.named(event) or event)
 end
 
-local function has_come(own, event, events)
-  local wanted = meant(own, event)
-  return match.has(events, event) or rfsm.name_with_data(wanted) ~= nil
-    and order.any(events, function(other) return match.example_of(other) == wanted end)
+local function has_come(monitor, events)
+  return match.has(events, monitor.property.event)
+    or rfsm.name_with_data(monitor.event) ~= nil and order.any(events, function(other)
+      return match.example_of(other) == monitor.event
+    end)
 end
 
 -- Makes a monitor look at the end of a step, or at a state that the step only passes.
 local function look_at(own, step, monitor, look, events)
   local property = monitor.property
   look.came = property.event ~= nil and own.leaf
-    and has_come(own, property.event, events) or false
+    and has_come(monitor, events) or false
   look.came = look.came and monitor.is_in_scope
   look.expired, look.count = count_expired(own, monitor), #monitor.clocks
   look.observer, look.heard = monitor.observer, step.heard
@@ -319,7 +313,7 @@ end
 
 -- Field by field: LuaJIT compiles no loop over `order.each`, nor a host's loop around.
 local function copy_of(monitor)
-  return { name = monitor.name, property = monitor.property,
+  return { name = monitor.name, property = monitor.property, event = monitor.event,
     observer = monitor.observer, state = monitor.state, clocks = monitor.clocks,
     is_told = monitor.is_told, is_in_scope = monitor.is_in_scope }
 end
@@ -388,11 +382,12 @@ end
 -- Returns a monitor for each of the given properties. An error names the function
 -- `where`.
 local function monitors_of(own, where, given)
-  local audible = audible_of(own)
+  local audible, set = audible_of(own), alphabet.of_all(own.fsm).set
   local list = properties.heard_in(where, given, audible)
   for _, monitor in ipairs(list) do
     warn_of_unnamed(own, where, monitor, audible)
     for _, word in ipairs(properties.words_of(monitor)) do own.hears[word] = true end
+    monitor.event = meant(set, monitor.property.event)
     monitor.state, monitor.clocks = "first", {}
     monitor.is_told, monitor.is_in_scope = false, false
     if not kinds[monitor.property.kind].see then
@@ -499,7 +494,7 @@ function watch_properties.watch_properties(fsm, given)
   end
   local active, snapshot = views_of(fsm)
   local own = setmetatable({ fsm = fsm, active = active, now = 0, leaf = false,
-    is_timed = false, meant = {}, snapshot = snapshot, hears = {}, path_of = {},
+    is_timed = false, snapshot = snapshot, hears = {}, path_of = {},
     done = {} }, Watched)
   local list = monitors_of(own, where, given)
   own.is_timed = order.any(list, is_timed)
