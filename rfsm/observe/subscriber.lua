@@ -40,7 +40,7 @@ function Client:receive(seconds)
   self.udp:settimeout(seconds)
   local data, problem = self.udp:receive()
   if problem == "connection refused" then self.is_heard = false end
-  local message = data and self.json.decode(data, 1, nil)
+  local message = data and self.json.decode(data)
   if type(message) ~= "table" then return nil end
   self.is_heard = message.text ~= "heartbeat: not subscribed"
   if not self.is_heard then self.due = 0 end

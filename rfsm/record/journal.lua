@@ -126,7 +126,7 @@ local function fail(form, ...) error(form:format(...), 0) end
 
 -- A problem is without its place: the text is one line.
 local function decode(text)
-  local value, _, problem = opts.need("rfsm.record", "dkjson").decode(text, 1, nil)
+  local value, _, problem = opts.need("rfsm.record", "dkjson").decode(text)
   return value, problem and problem:gsub(" at line 1, column %d+$", "")
 end
 

@@ -29,7 +29,7 @@ function file.read(name)
   local decode = opts.need("rfsm.snapshot", "dkjson").decode
   text, problem = sums.remove(text)
   if not text then return nil, name .. ": " .. problem end
-  local value, after, why = decode(text, 1, nil)
+  local value, after, why = decode(text)
   if why then return nil, name .. ": no JSON: " .. why end
   if type(value) ~= "table" or text:find("%S", after) then
     return nil, name .. ": a JSON object expected"

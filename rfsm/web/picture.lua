@@ -91,7 +91,7 @@ function Painter.serve()
   local last = {} -- the last picture of each machine, by number of the machine
   for name in io.lines() do
     local request = files.read(name)
-    request = request and require("dkjson").decode(request, 1, nil)
+    request = request and require("dkjson").decode(request)
     local ok, svg = pcall(Painter.draw, request, last[request.machine])
     last[request.machine] = ok and svg or nil
     files.write(name .. ".part", ok and svg or "")
