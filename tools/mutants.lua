@@ -47,7 +47,7 @@ local ROOMS = {
   { name = "extensions", files = { "rfsm/fates.lua", "rfsm/strict.lua" },
     specs = { "fates", "strict", "always", "why", "interrupt" } },
   { name = "snapshot", files = { "rfsm/snapshot.lua", "rfsm/snapshot/*.lua" },
-    specs = { "snapshot", "upgrade" } },
+    specs = { "snapshot", "upgrade", "server_functions" } },
   { name = "record", files = { "rfsm/record.lua", "rfsm/record/*.lua" },
     specs = { "record", "stream" } },
   { name = "pictures", files = { "rfsm/dot.lua", "rfsm/mermaid.lua",
