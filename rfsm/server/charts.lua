@@ -375,7 +375,7 @@ end
 --- Is a snapshot of this version of a chart? The charts of regions count, too.
 function charts.is_of(chart, snap)
   local is_same = snap.chart == chart.blank.chart and not snap.regions
-  return is_same or migrate.is_own(chart.fsm, snap)
+  return is_same or not migrate.changes(chart.fsm, snap)
 end
 
 --- Put a snapshot into the machine of a chart. It is checked if it `is_foreign`.

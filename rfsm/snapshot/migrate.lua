@@ -104,16 +104,6 @@ local function change_of(machine, part)
   return is_kept and "kept" or "structure"
 end
 
---- Is a snapshot of the chart of a machine, and its regions of those of the machine?
-function migrate.is_own(fsm, snap)
-  local places = shape.of(fsm).places
-  for i = 1, #places do
-    local part = migrate.part_of(snap, places[i].prefix)
-    if change_of(places[i].machine, part) then return false end
-  end
-  return true
-end
-
 -- What would be lost ----------------------------------------------------------------
 
 local function note_data(list, chart, part, prefix)
