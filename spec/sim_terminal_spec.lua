@@ -41,6 +41,7 @@ local function new_luv(world)
       if typed then handlers[typed]() end
       typed = nil
     end,
+    loop_mode = function() return world.mode end,
     os_getpid = function() return 7 end,
     kill = function(process, name)
       world.note(("kill %d, %s"):format(process, name))
@@ -171,6 +172,15 @@ describe("Control-C", function()
     world.type_control_c()
     assert.is_true(terminal.is_interrupted())
     assert.is_false(terminal.is_interrupted())
+  end)
+
+  it("runs no loop in the loop of a chart, whose callbacks would meet", function()
+    local world = { mode = "default" }
+    local terminal = catching(world)
+    world.type_control_c()
+    assert.is_false(terminal.is_interrupted())
+    world.mode = nil
+    assert.is_true(terminal.is_interrupted())
   end)
 
   it("raises an error in the code that runs, at its line, once", function()

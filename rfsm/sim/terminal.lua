@@ -57,7 +57,7 @@ end
 function terminal.is_interrupted()
   local was_busy = is_busy
   is_busy = true
-  if uv then uv.run("nowait") end
+  if uv and not uv.loop_mode() then uv.run("nowait") end -- a chart may run the loop
   is_busy = was_busy
   local is_new = count > seen
   seen = count
