@@ -389,8 +389,8 @@ end
 
 -- Does a verb for all machines or entries that are meant, or, dry, shows them. Returns
 -- the status: 1 if one was refused.
-local function do_many(fleet, options, filter)
-  local find = MANY[options.verb]
+local function do_many(fleet, options)
+  local find, filter = MANY[options.verb], options.where
   local found = ask_or_end(1, "; nothing was done", filter and find or find_named,
     fleet, filter or options)
   if not found[1] then
@@ -548,7 +548,7 @@ function command.run(options, parser)
   end
   local fleet = command.connect(options.url, { tags = options.tags })
   if WIDE[name] then ask(fleet.find_tags, fleet) end
-  if MANY[name] then return do_many(fleet, options, options.where) end
+  if MANY[name] then return do_many(fleet, options) end
   print_lines(LINES[name](fleet, options, unpack(options.arguments)))
 end
 

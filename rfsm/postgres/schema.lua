@@ -230,9 +230,7 @@ REVOKE EXECUTE ON FUNCTION ]] .. concat(revoked, ", ") .. [[, rfsm.send_by FROM 
 
 -- Runs a machine that is due, unless another session has locked it; returns whether it
 -- ran. A machine that cannot run waits for a minute, and the log has the reason.
-CREATE OR REPLACE FUNCTION rfsm.run_due(key text)
-  RETURNS boolean LANGUAGE plpgsql SECURITY DEFINER
-  SET search_path = pg_catalog, pg_temp AS $$
+CREATE OR REPLACE FUNCTION rfsm.run_due(key text) RETURNS boolean $BY AS $$
 #variable_conflict use_column
 DECLARE each text := key;
 BEGIN
@@ -253,9 +251,7 @@ END $$;
 -- Runs machines that are due, all in one transaction; returns how many. If a statement
 -- timeout or a user ends a machine that comes to no end, nothing has run, and this
 -- machine gets a lease as from a worker, so that the next call runs the others.
-CREATE OR REPLACE FUNCTION rfsm.wake(most integer DEFAULT 100)
-  RETURNS integer LANGUAGE plpgsql SECURITY DEFINER
-  SET search_path = pg_catalog, pg_temp AS $$
+CREATE OR REPLACE FUNCTION rfsm.wake(most integer DEFAULT 100) RETURNS integer $BY AS $$
 DECLARE
   each text;
   woken integer := 0;
@@ -281,8 +277,8 @@ END $$;
 
 -- Runs the machine that the transaction before has leased, if any, and leases the next
 -- one. A machine that had too many leases is held.
-CREATE OR REPLACE FUNCTION rfsm.next_due(INOUT leased text, OUT has_run boolean)
-  LANGUAGE plpgsql SECURITY DEFINER SET search_path = pg_catalog, pg_temp AS $$
+CREATE OR REPLACE FUNCTION rfsm.next_due(INOUT leased text, OUT has_run boolean) $BY
+  AS $$
 DECLARE count integer;
 BEGIN
   has_run := leased IS NOT NULL AND rfsm.run_due(leased);
@@ -505,8 +501,7 @@ CREATE OR REPLACE FUNCTION rfsm.metrics() RETURNS SETOF text $OWNER AS $$
 $$;
 
 -- Removes what is older from the history, if there is one; returns how many moves.
-CREATE OR REPLACE FUNCTION rfsm.trim(age interval) RETURNS bigint LANGUAGE plpgsql
-  SECURITY DEFINER SET search_path = pg_catalog, pg_temp AS $$
+CREATE OR REPLACE FUNCTION rfsm.trim(age interval) RETURNS bigint $BY AS $$
 DECLARE count bigint := 0;
 BEGIN
   IF to_regclass('rfsm.history') IS NOT NULL THEN
