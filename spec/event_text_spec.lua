@@ -37,6 +37,9 @@ describe("the text of an event", function()
     { "many fields", { name = "e_m", a = ("a"):rep(24), b = ("b"):rep(24),
       c = ("c"):rep(24) }, "e_m", 'e_m{a="' .. ("a"):rep(24) .. '",b="'
         .. ("b"):rep(24) .. '",..}' },
+    { "data of just 80 bytes", { name = "e_m", a = ("a"):rep(24), b = ("b"):rep(24),
+      c = ("c"):rep(16) }, "e_m", 'e_m{a="' .. ("a"):rep(24) .. '",b="'
+        .. ("b"):rep(24) .. '",c="' .. ("c"):rep(16) .. '"}' },
     { "a text as of an address", "table: 0x1", "table: 0x1", "table: 0x1" },
     { "the name of a type", "string", "string", "string" },
     { "a class with a name", setmetatable({}, { __name = "Coin" }), "a table",
