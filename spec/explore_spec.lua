@@ -190,6 +190,27 @@ describe("explore", function()
     assert.matches("root.c: active in no configuration", report(model, options))
   end)
 
+  it("takes one property that is in no list", function()
+    assert.matches("never root.b: does not hold", report(chart(),
+      { properties = never "root.b" }))
+    assert.matches("got after%(...%) alone", select(2, pcall(rfsm_checks.explore,
+      chart(), { properties = rfsm_checks.after "e_x" })))
+  end)
+
+  it("refuses a second condition, which would not be judged", function()
+    for name, text in pairs { -- any order: each alone
+      never = "never: one argument less expected, got string 'root.c'",
+      after = "after: one argument less expected, got string 'root.c'",
+      from = "from: one argument less expected, got string 'root.c'",
+    } do
+      local _, message = pcall(function() rfsm_checks[name]("root.b", "root.c") end)
+      assert.matches("explore_spec.lua:%d+: rfsm_checks." .. text .. "$", message)
+    end
+    local reach = rfsm_checks.after("e_x").reach
+    assert.matches("reach: one argument less expected, got 2", select(2,
+      pcall(reach, "root.c", 2)))
+  end)
+
   -- Options, the message; the model.
   local REFUSED = {
     { {}, "explore_spec.lua:%d+: rfsm_checks.explore: state expected, got table", {} },

@@ -52,6 +52,9 @@ local function lines_of(text)
     local field = rest:match("^([%w_]+%.[%w_]+) =")
     local kind = comment:match("@type ([^\n]*)") or ""
     if name then
+      if not comment:find("@param ...", 1, true) then
+        arguments = arguments:gsub(", %.%.%.", "")
+      end
       add(lines, name, arguments, comment)
     elseif field and (kind:find("^fun") or kind:find("Constructor")) then
       add(lines, field, kind:find("^fun") and arguments_of(kind) or "{...}", comment)

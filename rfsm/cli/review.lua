@@ -24,7 +24,7 @@ local verdict = require "rfsm.explore.verdict"
 
 local error, io, ipairs = error, io, ipairs
 local loadfile, os, pcall = loadfile, os, pcall
-local package, pairs, rawget = package, pairs, rawget
+local getmetatable, package, pairs, rawget = getmetatable, package, pairs, rawget
 local rawset, require, type = rawset, require, type
 local concat = table.concat
 
@@ -105,10 +105,11 @@ local function declared_for(file)
   if file == "-" or not exists(name) then return {} end
   local chunk, problem = loadfile(name)
   local declared = (chunk or error(problem, 0))()
-  if type(declared) ~= "table" or declared[1] ~= nil then
+  if type(declared) ~= "table" or rawget(declared, 1) ~= nil or getmetatable(declared)
+  then
     error(("%s: table with the field 'properties' expected, got %s (return { "
-      .. "properties = { ... } })"):format(name, type(declared) == "table" and "a list"
-      or type(declared)), 0)
+      .. "properties = { ... } })"):format(name, type(declared) ~= "table"
+      and type(declared) or getmetatable(declared) and "a property" or "a list"), 0)
   end
   return declared
 end

@@ -18,7 +18,8 @@ local opts = require "rfsm.shared.options"
 local order = require "rfsm.shared.order"
 
 local error, getmetatable, ipairs = error, getmetatable, ipairs
-local next, pcall, rawget, setmetatable, type = next, pcall, rawget, setmetatable, type
+local next, pcall, rawget, select = next, pcall, rawget, select
+local setmetatable, type = setmetatable, type
 local getinfo = (rawget(_G, "debug") or {}).getinfo
 local concat, insert, sort = table.concat, table.insert, table.sort
 local holds, kinds = monitors.holds, monitors.kinds
@@ -97,10 +98,12 @@ local halves = setmetatable({}, { __mode = "k" })
 -- The problem of a property as a part of another one.
 local NO_PART = "got a property (is there a colon in place of a dot?)"
 
--- Returns the value of a part of a property; raises an error if the value is wrong.
-local function checked(where, part, value)
+-- Returns the value of a part of a property; raises an error if the value is wrong, or
+-- is not alone.
+local function checked(where, part, value, ...)
   local is_property = halves[value] or getmetatable(value) == Property
   local problem = is_property and NO_PART or PROBLEMS[part](value)
+    or select("#", ...) > 0 and "one argument less expected, " .. opts.got((...))
   if problem then error("rfsm_checks." .. where .. ": " .. problem, 3) end
   return value
 end
@@ -132,8 +135,8 @@ end
 local MORE
 
 local function ending(where, kind, parts, last)
-  return function(value)
-    local own = { [last] = checked(where, last, value) }
+  return function(...)
+    local own = { [last] = checked(where, last, ...) }
     for part, other in order.each(parts) do own[part] = other end -- any order
     local property = new(kind, own)
     for name, rest in order.each(MORE[kind] or {}) do -- any order: independent
@@ -172,8 +175,8 @@ end
 --
 ---@param condition string|string[]|fun(active: fun(name: string): boolean): boolean
 ---@return rfsm_checks.Property
-function properties.never(condition)
-  local property = new("never", { what = checked("never", "what", condition) })
+function properties.never(condition, ...)
+  local property = new("never", { what = checked("never", "what", condition, ...) })
   property.since = ending("never(...).since", "after_never", { goal = condition },
     "event")
   return property
@@ -186,8 +189,8 @@ end
 --
 ---@param condition string|string[]|fun(active: fun(name: string): boolean): boolean
 ---@return rfsm_checks.Property
-function properties.always(condition)
-  local parts = { what = checked("always", "what", condition) }
+function properties.always(condition, ...)
+  local parts = { what = checked("always", "what", condition, ...) }
   local property = new("always", parts)
   property.unless = ending("always(...).unless", "unless", parts, "ending")
   return property
@@ -211,8 +214,8 @@ end
 --
 ---@param event any
 ---@return table of `reach(condition)`, `leads_to(condition)`, `never(condition)`
-function properties.after(event)
-  return after("after(...)", checked("after", "event", event))
+function properties.after(event, ...)
+  return after("after(...)", checked("after", "event", event, ...))
 end
 
 --- Declare how long a condition holds, or what can follow it.
@@ -225,12 +228,12 @@ end
 ---@param condition any
 ---@return table of `can_reach(condition)`, `left_within(seconds)`, `stays(seconds)`,
 -- `after(event)`
-function properties.from(condition)
-  local half = first_half("from(...)", { what = checked("from", "what", condition) },
-    { can_reach = { "from", "goal" }, left_within = { "left_within", "seconds" },
-      stays = { "stays", "seconds" } })
-  function half.after(event)
-    return after("from(...).after(...)", checked("from(...).after", "event", event),
+function properties.from(condition, ...)
+  local parts = { what = checked("from", "what", condition, ...) }
+  local half = first_half("from(...)", parts, { can_reach = { "from", "goal" },
+    left_within = { "left_within", "seconds" }, stays = { "stays", "seconds" } })
+  function half.after(...)
+    return after("from(...).after(...)", checked("from(...).after", "event", ...),
       condition)
   end
   return half
@@ -242,9 +245,9 @@ end
 ---@param first any
 ---@param second any
 ---@return rfsm_checks.Property
-function properties.precedes(first, second)
+function properties.precedes(first, second, ...)
   local parts = { what = checked("precedes", "what", first),
-    goal = checked("precedes", "goal", second) }
+    goal = checked("precedes", "goal", second, ...) }
   local property = new("precedes", parts)
   property.since = ending("precedes(...).since", "precedes", parts, "again")
   return property
@@ -255,9 +258,9 @@ end
 ---@param first any
 ---@param second any
 ---@return rfsm_checks.Property
-function properties.until_(first, second)
+function properties.until_(first, second, ...)
   return new("until", { what = checked("until_", "what", first),
-    goal = checked("until_", "goal", second) })
+    goal = checked("until_", "goal", second, ...) })
 end
 
 --- Declare that an observer is never in a leaf named `bad`.
@@ -287,9 +290,10 @@ end
 ---@param count integer most steps with the event
 ---@param event any
 ---@return { within: fun(seconds: number): rfsm_checks.Property }
-function properties.at_most(count, event)
+function properties.at_most(count, event, ...)
   return first_half("at_most(...)", { count = checked("at_most", "count", count),
-    event = checked("at_most", "event", event) }, { within = { "at_most", "seconds" } })
+    event = checked("at_most", "event", event, ...) },
+    { within = { "at_most", "seconds" } })
 end
 
 --- Declare that an event comes at least `count` times in any time span of a given
@@ -297,9 +301,9 @@ end
 ---@param count integer fewest steps with the event
 ---@param event any
 ---@return { within: fun(seconds: number): rfsm_checks.Property }
-function properties.at_least(count, event)
+function properties.at_least(count, event, ...)
   return first_half("at_least(...)", { count = checked("at_least", "count", count),
-    event = checked("at_least", "event", event) },
+    event = checked("at_least", "event", event, ...) },
     { within = { "at_least", "seconds" } })
 end
 
@@ -372,13 +376,18 @@ end
 ---@field owed? table<integer, table> for an `after`: configuration -> the first step
 -- that has the event and leads to it
 
+--- Return a table of properties, also for one that is not in a table.
+function properties.listed(given)
+  return (halves[given] or getmetatable(given) == Property) and { given } or given
+end
+
 --- List properties with their names, sorted.
 ---@param where string name of the function that was called, for errors
 ---@param given table<any, rfsm_checks.Property>
 ---@return rfsm_checks.Judged[] list
 function properties.list_of(where, given)
   local list = {}
-  for key, property in order.each(given) do -- any order: the list is sorted below
+  for key, property in order.each(properties.listed(given)) do -- any order: sorted
     if getmetatable(property) ~= Property then
       local half = halves[property]
       error(where .. ": properties: never(...), after(...).reach(...) or another "

@@ -569,7 +569,8 @@ local function properties_of(model, options)
   local given = {}
   for _, source in ipairs { model.properties or {}, options.properties } do
     if type(source) == "table" and not rfsm.is_fsmobj(source) then
-      for key, property in order.each(source) do -- any order: sorted later
+      local all = properties.listed(source)
+      for key, property in order.each(all) do -- any order: sorted later
         given[type(key) == "string" and key or property] = property
       end
     end
