@@ -117,52 +117,39 @@ function replacements.named(fsm)
   return named
 end
 
-local EMIT = "%f[%w_](emit[%w_]*)%s*%(?%s*([\"']?)([^\"'%s]*)"
+local EMIT = "%f[%w_](emit[%w_]*)%s*%(?%s*([\"']?)([^\"'%s]*)[\"']?%s*(,?)"
 
--- Lists the events that the text of a callback emits; false stands for an event whose
--- name is not in the text.
-local function emitted_in(text)
-  local list = {}
-  for word, quote, name in text:gmatch(EMIT) do
+-- Appends the events that the text of a callback emits; false stands for an event whose
+-- name is not in the text. Those with data are added to a set.
+local function add_emitted(text, list, with_data)
+  for word, quote, name, comma in text:gmatch(EMIT) do
     local is_call = word == "emit" or word == "emit_event"
     if is_call then list[#list + 1] = quote ~= "" and name end
+    if is_call and comma ~= "" then with_data[name] = true end
   end
-  return list
 end
 
 local function may_emit(callback)
+  local list = {}
   return writes.each(callback, function(text)
-    return emitted_in(text)[1] ~= nil
+    add_emitted(text, list, {})
+    return list[1] ~= nil
   end, {})
 end
 
 --- List the events that a machine and its regions emit, as the text of their callbacks
 --- shows; nil if they may emit events that the text does not show.
 ---@return string[]?
+---@return table<string, true> with_data those that the text emits with data
 function replacements.emitted_by(fsm)
-  local emitted, is_certain, seen = {}, true, {}
+  local emitted, with_data, is_certain, seen = {}, {}, true, {}
   each_callback(fsm, function(_, callback)
     is_certain = is_certain and writes.text_of(callback) ~= nil
     writes.each(callback, function(text)
-      emitted = match.joined(emitted, emitted_in(text))
+      add_emitted(text, emitted, with_data)
     end, seen)
   end)
-  return is_certain and not match.has(emitted, false) and emitted or nil
-end
-
---- Does the text of a callback of a machine emit an event with data?
----@param fsm rfsm.Machine
----@param event string
----@return boolean
-function replacements.emits_data(fsm, event)
-  local pattern = "%f[%w_]emit%s*%(%s*[\"']" .. event:gsub("%p", "%%%0") .. "[\"']%s*,"
-  local found = false
-  each_callback(fsm, function(_, callback)
-    found = found or writes.each(callback, function(text)
-      return text:find(pattern) ~= nil
-    end, {})
-  end)
-  return found
+  return is_certain and not match.has(emitted, false) and emitted or nil, with_data
 end
 
 -- Notes that the text of a callback is not known, or may be that of others, too.

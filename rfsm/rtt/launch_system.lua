@@ -110,11 +110,12 @@ local function check_wire(launch, wire)
     tell((".size: a policy of RTT has at most %d, got %.0f"):format(LARGEST,
       wire.size))
   end
+  local _, with_data = replacements.emitted_by(launch.machines[wire.from])
   for _, event in ipairs(wire.events) do
     if alphabet.needs_data(launch.machines[wire.to], event) then
       tell((": a string port carries no data, and '%s' takes '%s' with data only")
         :format(wire.to, event))
-    elseif replacements.emits_data(launch.machines[wire.from], event) then
+    elseif with_data[event] then
       tell((": a string port carries no data, and '%s' emits '%s' with data"):format(
         wire.from, event))
     end

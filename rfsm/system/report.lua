@@ -179,13 +179,13 @@ local WITH_DATA = "'%s' emits '%s' with data, '%s' takes the text only (events =
 
 -- Returns a text if a machine emits an event in another form than a reader takes.
 local function other_form(sender, reader, event)
-  local known = alphabet.of_all(reader)
+  local known, emitted, with_data = alphabet.of_all(reader),
+    replacements.emitted_by(sender)
   if known.takes_any then return nil end
-  if replacements.emits_data(sender, event) then
+  if with_data[event] then
     return known.set[event] and not known.predicates[1] and WITH_DATA or nil
   end
-  return alphabet.needs_data(reader, event) and replacements.emitted_by(sender)
-    and WITHOUT_DATA or nil
+  return alphabet.needs_data(reader, event) and emitted and WITHOUT_DATA or nil
 end
 
 -- Finds events whose data the reader of a wire does not take, or waits for in vain.
