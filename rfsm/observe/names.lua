@@ -29,12 +29,9 @@ end
 -- accept any event, counts as well.
 function names.is_event(fsm, event)
   local known = alphabet.of_all(fsm)
-  if known.set[event] or event == "e_init_fsm" then return true end
-  if type(event) == "string" and event:find("^e_done") then return true end
-  return order.any(known.predicates, function(predicate)
-    local name = rfsm.event_name(predicate)
-    return name == nil or name == rfsm.event_text(event)
-  end)
+  if alphabet.has(known, event) or event == "e_init_fsm" then return true end
+  return type(event) == "string"
+    and (event:find("^e_done") or known.set[rfsm.named(event)]) ~= nil
 end
 
 --- Return the text of the event that a person has meant, who has sent a text in place
