@@ -4,7 +4,6 @@
 -- @license BSD-3-Clause
 
 local match = require "rfsm.shared.match"
-local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 
 local ipairs, type = ipairs, type
@@ -30,16 +29,10 @@ local function add_all(known, list, events)
   end
 end
 
-local function add_transition(known, tr)
-  local own = tr.events or {}
-  local is_any = own[1] == nil and tr.always ~= true
-  if is_any and rfsm.is_state(tr.src) then known.takes_any = true end
-  add_all(known, known.list, own)
-end
-
 local function add_machine(known, fsm)
   for _, tr in ipairs(rfsm.elements(fsm, rfsm.is_trans)) do
-    add_transition(known, tr)
+    if match.begins_on_any(tr) then known.takes_any = true end
+    add_all(known, known.list, tr.events or {})
   end
   for _, state in ipairs(rfsm.elements(fsm, rfsm.is_state)) do
     add_all(known, known.reactions, rfsm.reactions(fsm, state))
@@ -73,10 +66,8 @@ end
 ---@return boolean
 function alphabet.needs_data(fsm, event)
   local known = alphabet.of_all(fsm)
-  return not (known.takes_any or known.set[event])
-    and order.any(known.predicates, function(predicate)
-      return rfsm.event_name(predicate) == event
-    end)
+  return not (known.takes_any or known.set[event]) and known.set[rfsm.named(event)]
+    or false
 end
 
 return alphabet

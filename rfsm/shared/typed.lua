@@ -202,9 +202,8 @@ end
 ---@param text string
 ---@return any value
 function typed.value(text)
-  local ok, problem
   local value = nil
-  ok, problem = read_all(text, #text, function(reader)
+  local ok, problem = read_all(text, #text, function(reader)
     value = read_value(reader, 1)
     return true
   end)

@@ -24,12 +24,6 @@ local text_of = rfsm.text_of
 local Observer = {}
 Observer.__index = Observer
 
--- May this event have triggered the transition? Returns true if a predicate decides.
-local function takes(tr, event)
-  if match.is_any(tr) then return match.begins_on_any(tr) end
-  return match.triggers(tr, event) ~= false
-end
-
 -- Notes the breakpoints that are reached, each with the event.
 function Observer:check_points(kind, value, event)
   breakpoints.each_reached(self.sim.points, kind, value, function(i, point)
@@ -51,11 +45,12 @@ function Observer:check_conditions()
   if problem then error(problem, 0) end
 end
 
--- Returns the events that may have triggered a transition, if it names events.
+-- Returns the events that may have triggered a transition, if it names events. Nobody
+-- asks its predicates.
 local function triggers_of(tr, events)
   local list = {}
   for i = 1, tr.events[1] ~= nil and #events or 0 do
-    if takes(tr, events[i]) then list[#list + 1] = events[i] end
+    if match.triggers(tr, events[i]) ~= false then list[#list + 1] = events[i] end
   end
   return list
 end
