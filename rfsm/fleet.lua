@@ -597,6 +597,10 @@ local WORK = {
 -- Returns a list with the work of a worker on each hash tag.
 local function works_of(self, where, group, worker, options)
   local settings = opts.take("rfsm.fleet." .. where, WORK, options, 4)
+  if type(group) ~= "string" or type(worker) ~= "string" then
+    error(("rfsm.fleet.%s: names of a group and of a worker expected, got %s and %s")
+      :format(where, rfsm.text_of(group), rfsm.text_of(worker)), 3)
+  end
   local works, failures = {}, {}
   for i, tag in ipairs(all_tags(self)) do
     works[i] = { fleet = self, tag = tag, stream = keys_of.out("{" .. tag .. "}"),
@@ -705,7 +709,7 @@ end
 ---@param id string
 ---@return boolean was_there
 function Fleet:drop(tag, id)
-  return self:call(tag, "XDEL", keys_of.dead("{" .. tag .. "}"), id) == 1
+  return self:call(tag, "XDEL", keys_of.dead("{" .. rfsm.text_of(tag) .. "}"), id) == 1
 end
 
 --- Put a dead entry back into its stream, for the group in which it has failed. It
@@ -714,7 +718,7 @@ end
 ---@param id string
 ---@return boolean was_there
 function Fleet:again(tag, id)
-  local key = "{" .. tag .. "}"
+  local key = "{" .. rfsm.text_of(tag) .. "}"
   local raw = self:call(tag, "XRANGE", keys_of.dead(key), id, id)[1]
   if not raw then return false end
   local entry = fields_of(raw[2])

@@ -434,8 +434,14 @@ local function ask_entries(self, where, sql, ...)
   return entries
 end
 
--- Calls a function of SQL for an entry; returns what it returns, a boolean.
-local function ask_about(self, name, number, ...)
+-- Calls a function of SQL for an entry, or its number; returns what that returns, a
+-- boolean.
+local function ask_about(self, name, entry, ...)
+  local number = type(entry) == "table" and entry.number or entry
+  if type(number) ~= "number" or number % 1 ~= 0 then
+    error(("rfsm.postgres.%s: an entry or its number expected, %s"):format(name,
+      rfsm.got(entry)), 0)
+  end
   local sql = ("SELECT rfsm.%s($1::bigint%s)::text AS answer"):format(name,
     select("#", ...) > 0 and ", $2" or "")
   return ask_rows(self, name, sql, ("%d"):format(number), ...)[1].answer == "true"
@@ -467,14 +473,14 @@ end
 --- An entry is done. Call it in the transaction that sends the answer.
 ---@param entry rfsm.postgres.Entry
 ---@return boolean was_there
-function Client:done(entry) return ask_about(self, "done", entry.number) end
+function Client:done(entry) return ask_about(self, "done", entry) end
 
 --- The try has failed: the entry comes again when its lease is over.
 ---@param entry rfsm.postgres.Entry
 ---@param reason string
 ---@return boolean was_there
 function Client:fail(entry, reason)
-  return ask_about(self, "fail", entry.number, rfsm.text_of(reason))
+  return ask_about(self, "fail", entry, rfsm.text_of(reason))
 end
 
 --- Call `f(entry)` for each entry that no other worker has. If `f` raises an error, or

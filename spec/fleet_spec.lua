@@ -326,6 +326,9 @@ describe("consumer groups", function()
       machines:dead()[1].error })
     assert.same({ "rfsm.fleet.done: an entry of take expected, got table" },
       { (select(2, pcall(machines.done, machines, {})):gsub("^%S+:%d+: ", "")) })
+    assert.matches("rfsm.fleet.take: names of a group and of a worker expected, got g "
+      .. "and nil$", select(2, pcall(machines.take, machines, "g")))
+    assert.is_false(machines:drop(nil, "1-1"))
   end)
 
   it("see that an answer was dropped", function()

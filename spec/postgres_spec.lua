@@ -411,6 +411,8 @@ SELECT event, src, tgt FROM rfsm.history ORDER BY id;]]))
     client:done({ number = 2 })
     assert.same({}, client:take({ tries = 3 }))
     assert.equal("no mail", client:dead()[1].error)
+    assert.equal("rfsm.postgres.again: an entry or its number expected, got string "
+      .. "'out-1'", select(2, pcall(client.again, client, client:dead()[1].id)))
     assert.is_true(client:again(1))
     assert.same({ 1, {} }, { client:work(function(taken)
       assert.equal("known", assert(client:answer(taken, "e_emit")).outcome)
