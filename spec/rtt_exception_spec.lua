@@ -109,6 +109,30 @@ describe("a component after an exception of C++", function()
     end
   end)
 
+  it("goes on if a guard or a predicate raises it again and again", function()
+    for _, field in ipairs { "fsm[2].guard", "boom" } do
+      local arm, exec_str, send = launched([[
+        trans { src = "a", tgt = "b", events = { function(e)
+          return e == "e_throw" and boom and boom()
+        end } }]])
+      exec_str(("fsm[2].effect = nil %s = function() rtt.standin.throw() end"):format(
+        field))
+      if field == "boom" then exec_str("fsm[2].guard = function() return false end") end
+      send("e_throw")
+      for _ = 1, 2 do
+        recover(arm)
+        send("e_none")
+      end
+      assert.equal("Running", arm:getState())
+      assert.equal(" a", evaluate(exec_str, "trace"))
+      exec_str("fsm[2].guard = nil boom = nil")
+      send("e_throw")
+      send("e_back")
+      assert.equal(" a b a", evaluate(exec_str, "trace"))
+      begin()
+    end
+  end)
+
   it("is reset by rfsm.reset, in a hook of its program or from outside", function()
     local arm, exec_str, send = launched(nil, {
       poststr = "function startHook() if was then rfsm.reset(fsm) end was = true "
