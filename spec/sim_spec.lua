@@ -977,8 +977,21 @@ queue:
     assert.matches("active: root.b%(done%)\n$", out)
   end)
 
-  it("is no help to a chart whose data cannot be saved", function()
+  it("in a file that has one is the last run there, which is replayed", function()
+    local name = recorded(chart(), "run\nser e_go\n")
+    sim("-q -e 'record " .. name .. "' -e run " .. chart())
+    assert.same({ 2, "active: root.a(done)" }, {
+      select(2, content(name):gsub('"file"', "")),
+      sim("-q -r " .. name .. " -e showfqn " .. chart()):match("\n(active: %S+)\n") })
+  end)
+
+  it("is no help to a chart whose data cannot be saved, nor made of one", function()
     local name = recorded(chart(), "run\n")
+    local kept = content(name)
+    assert.equal("rfsm sim: record: root.x: a function cannot be saved\n",
+      (select(2, sim("-q -e 'record " .. name .. "' "
+        .. chart("keep = { 'x' }, x = print,")))))
+    assert.equal(kept, content(name))
     assert.same({ "", "rfsm sim: root.x: a function cannot be saved\n", 1 },
       { sim("-q -r " .. name .. " " .. chart("keep = { 'x' }, x = print,")) })
   end)

@@ -16,7 +16,7 @@ local rewind = require "rfsm.observe.rewind"
 local snapshot = require "rfsm.snapshot"
 local tracks = require "rfsm.record.track"
 
-local error, io, ipairs, type = error, io, ipairs, type
+local error, ipairs, type = error, ipairs, type
 local max, min = math.max, math.min
 local print = print
 local concat = table.concat
@@ -114,16 +114,14 @@ end
 
 -- Recordings ----------------------------------------------------------------------
 
---- Record the next advances in a file. Without a name, end the recording.
+--- Record the next advances in a file, behind what is there, as its last run. Without a
+--- name, end the recording.
 function history.save(sim, name)
   if sim.recorder then sim.recorder:stop() end
   sim.recorder = nil
   if not name then return end
-  local file, problem = io.open(name, "w")
-  if not file then error("record: " .. problem, 0) end
-  file:close()
   local ok, recorder = calls.try(record.record, sim.fsm, name)
-  if not ok then error("record: " .. text_of(recorder), 0) end
+  if not ok then error(text_of(recorder):gsub("^rfsm%.record%.", ""), 0) end
   sim.recorder = recorder
 end
 
