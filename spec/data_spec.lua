@@ -436,6 +436,20 @@ describe("callbacks that are not run", function()
     assert.matches("^data that the guard root%.trans%[4%] may write", untried)
   end)
 
+  it("are step hooks, and what replaces a callback that is called", function()
+    local function replace(fsm) fsm[3].guard = nil end
+    for name, members in pairs { -- any order: each stands alone
+      ["post_step_hook"] = { post_step_hook = set },
+      ["pre_step_hook"] = { pre_step_hook = set },
+      ["entry root.a"] = { a = state { entry = replace } },
+    } do
+      local holds, untried = judge(function() return counting(nil, is_three, members)
+        end, { run = { is_three } })
+      assert.is_nil(holds)
+      assert.equal("data that the " .. name .. " may write, which is not run", untried)
+    end
+  end)
+
   it("and write other things are a premise", function()
     local seen = {}
     local function note(_, _, events)
@@ -470,7 +484,8 @@ describe("callbacks that are not run", function()
       local effect = EFFECTS[i]
       local _, untried = judge(function() return counting(effect, is_three) end,
         { run = { is_three } })
-      assert.equal("targets that the effect root.trans[2] may write", untried)
+      assert.equal("transitions that the effect root.trans[2] may change or add",
+        untried)
     end
   end)
 end)

@@ -437,8 +437,17 @@ describe("exploration of a machine with event memories", function()
     for i, guard in ipairs(GUARDS) do
       local holds, untried = judged({ [2] = trans { src = "a", tgt = "b",
         events = { "e_x" }, guard = guard } }, { count, guard })
-      assert.same({ i, nil, "the field 'emem.e_back', which vars does not name" },
+      assert.same({ i, nil, "the field 'emem.e_x', which vars does not name" },
         { i, holds, untried })
     end
+  end)
+
+  it("knows nothing either if a guard that only reads does so", function()
+    local function is_second(tr) return tr.src.emem.e_x == 2 end
+    local result = rfsm_checks.explore(state { warn = false, info = false,
+      a = state {}, b = state {}, trans { src = "initial", tgt = "a" },
+      trans { src = "a", tgt = "b", events = { "e_x" }, guard = is_second } },
+      { run = { is_second }, properties = { rfsm_checks.never "root.b" } })
+    assert.is_nil(result.properties[1].holds)
   end)
 end)

@@ -35,10 +35,11 @@ describe("a verdict", function()
       verdict(light(), never "root.green", { alphabet = { "e_button" } }))
   end)
 
-  local send = rfsm.send_events
+  local send, api = rfsm.send_events, { post = rfsm.send_events }
   local SENDERS = {
     ["the library's name"] = function(fsm) rfsm.send_events(fsm, "e_q") end,
     ["a name of its own"] = function(fsm) send(fsm, "e_q") end,
+    ["a table of its own"] = function(fsm) api.post(fsm, "e_q") end,
   }
   for name, sends in pairs(SENDERS) do -- any order: each stands alone
     it("knows that callbacks send outside of the alphabet, by " .. name, function()
@@ -416,7 +417,8 @@ describe("a verdict", function()
     local result = rfsm_checks.explore(model,
       { properties = { never { "root.a", "root.b" } } })
     assert.equal("targets", result.bound)
-    assert.same({ "targets that the effect root.trans[4] may write" }, result.untried)
+    assert.same({ "transitions that the effect root.trans[4] may change or add" },
+      result.untried)
     assert.is_nil(result.properties[1].holds)
   end)
 end)
@@ -429,6 +431,9 @@ describe("a callback that may write a target", function()
   local CASES = {
     { name = "by an index", effect = writer, is_known = false },
     { name = "by a function that it calls", effect = calls_writer, is_known = false },
+    { name = "by a merge", is_known = false, effect = function(fsm)
+      rfsm.fsm_merge(fsm, fsm, rfsm.trans { src = "b", tgt = "c", events = { "e_d" } })
+    end },
     { name = "by a global function", is_known = false,
       effect = function(fsm) return rawget(_G, "write_target")(fsm) end },
     { name = "no target that is read", effect = reader, is_known = true },
@@ -448,16 +453,16 @@ describe("a callback that may write a target", function()
     local function untried(members)
       return rfsm_checks.explore(chart(members)).untried[1]
     end
-    local before = "targets that the "
-    assert.equal(before .. "entry root.b may write",
+    local before = "transitions that the "
+    assert.equal(before .. "entry root.b may change or add",
       untried { b = state { entry = writer } })
-    assert.equal(before .. "exit root.b may write",
+    assert.equal(before .. "exit root.b may change or add",
       untried { b = state { exit = writer } })
-    assert.equal(before .. "doo root.b may write",
+    assert.equal(before .. "doo root.b may change or add",
       untried { b = state { doo = writer } })
-    assert.equal(before .. "guard root.trans[4] may write",
+    assert.equal(before .. "guard root.trans[4] may change or add",
       untried { [4] = go("a", "b", "e_y", { guard = writer }) })
-    assert.matches("^targets that the predicate of .*root.trans%[4%] %(a %-> b%) may",
+    assert.matches("^transitions that the predicate of .*root.trans%[4%] %(a %-> b%) ",
       untried { [4] = go("a", "b", { writer }) })
   end)
 end)

@@ -13,6 +13,7 @@
 local rfsm = require "rfsm"
 local advice = require "rfsm.advice"
 local calls = require "rfsm.shared.calls"
+local instrument = require "rfsm.shared.instrument"
 local match = require "rfsm.shared.match"
 local memory = require "rfsm.explore.memory"
 local opts = require "rfsm.shared.options"
@@ -126,11 +127,12 @@ end
 --- other subjects of the same model may share the tables.
 function data.rest(self) data.put(self, self.first_values) end
 
--- Returns two lists: names of fields that `vars` has or that callbacks in `run` may
--- read, and names of variables in these callbacks. If a callback computes a key, the
--- first list has a pattern that matches all names.
+-- Returns two lists: names of fields that `vars` has, that callbacks in `run` may read,
+-- or that have these callbacks, and names of variables in them. If a callback computes
+-- a key, the first list has a pattern that matches all names.
 local function names_of_data(self)
   local names, variables, seen = {}, {}, {}
+  for _, name in ipairs(instrument.CALLBACKS) do names[name] = true end
   for _, path in ipairs(self.var_names) do names[path:match("[%w_]+%]?$")] = true end
   for _, callback in ipairs(self.run_list) do
     writes.each(callback, function(text)
@@ -143,16 +145,23 @@ local function names_of_data(self)
 end
 
 -- Counts the callbacks, except guards, that are not called. Lists the callbacks, guards
--- too, that are not called and may write fields or variables that called ones use.
-local function note_others(self, named, names, variables)
+-- and step hooks too, that are not called and may write fields or variables that called
+-- ones use.
+local function note_others(self, named, names, variables, fsm)
+  local function note(name, callback)
+    if writes.may_write(callback, names) or writes.may_set(callback, variables) then
+      table.insert(self.data_writers, name)
+    end
+  end
+  for _, name in ipairs { "pre_step_hook", "post_step_hook" } do
+    note(name, rfsm.model_of(fsm)[name])
+  end
   for _, name in ipairs(rfsm.sorted_keys(named)) do
     local callback = named[name]
     if not self.runs[callback] then
       local is_guard = name:find("^guard ")
       self.idle_callbacks = self.idle_callbacks + (is_guard and 0 or 1)
-      if writes.may_write(callback, names) or writes.may_set(callback, variables) then
-        table.insert(self.data_writers, name)
-      end
+      note(name, callback)
     end
   end
 end
@@ -265,7 +274,7 @@ function data.read_options(self, options, fsm)
   if self.var_names[1] or self.run_list[1] then
     local names, variables = names_of_data(self)
     self.data_names = names
-    note_others(self, named, names, variables)
+    note_others(self, named, names, variables, fsm)
   end
 end
 
@@ -299,7 +308,7 @@ local function new_called_guard(self, path, guard)
   local only_reads = writes.only_reads(guard)
   local reads_all, reads_one = writes.may_read(guard, 2, 2), writes.may_read(guard, 3)
   return function(tr, events, event)
-    self.is_touched = self.is_touched or not only_reads
+    self.is_touched = self.is_touched or not only_reads or self.memory.has_made
     replacements.note_run(self)
     local ok, answer = calls.try(guard, tr, events, event)
     local part = self.transitions[self.number_of[tr]].part

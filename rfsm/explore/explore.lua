@@ -656,7 +656,7 @@ local function note_gaps(walk)
   local function add(names, bound, text)
     for _, name in ipairs(names) do walk:note_untried(bound, text:format(name)) end
   end
-  add(own.writers, "targets", "targets that the %s may write")
+  add(own.writers, "targets", "transitions that the %s may change or add")
   add(own.data_writers, "values", "data that the %s may write, which is not run")
   add(own.unsure_senders, "sends", "events that the %s may send, which "
     .. (own.alphabet and not walk.options.dry_run and "sends does not name"

@@ -43,6 +43,7 @@ local memory = {}
 -- `writes.ANY`
 ---@field most integer the greatest number of homes
 ---@field is_cut boolean there are more tables than `most`, and not all are homes
+---@field has_made boolean a field that an extension has added is among `names`
 local Memory = {}
 Memory.__index = Memory
 
@@ -69,13 +70,15 @@ end
 
 -- Has an extension put this field into an element, as a counter that no callback in
 -- `run` names? The model of the element has no such field, or a value of another kind.
+-- The extension changes a counter that one names, also in a step that runs none.
 local function is_made(self, of, key, value)
   local model = rfsm.model_of(of)
-  if rawequal(model, of) or self.names[writes.ANY] or self.names[key] then
-    return false
-  end
   local given = model[key]
-  return type(given) ~= type(value) or getmetatable(given) ~= getmetatable(value)
+  local is_own = rawequal(model, of)
+    or type(given) == type(value) and getmetatable(given) == getmetatable(value)
+  local is_named = self.names[writes.ANY] or self.names[key]
+  self.has_made = self.has_made or is_named and not is_own
+  return not (is_own or is_named)
 end
 
 -- Notes a datum of a home. With `has_places`, the option `vars` may name it.
@@ -215,7 +218,7 @@ end
 ---@return rfsm_checks.Memory
 function memory.of(self)
   local own = setmetatable({ homes = {}, cells = {}, places = {}, seen = {},
-    names = {}, most = math.huge, is_cut = false }, Memory)
+    names = {}, most = math.huge, is_cut = false, has_made = false }, Memory)
   for _, name in ipairs(self.data_names) do own.names[name] = true end
   skip_libraries(own)
   local list = {}

@@ -167,16 +167,20 @@ local function note_senders(self, name, callback)
   end
 end
 
---- Note what a callback may do that the exploration does not follow: it may write the
---- target of a transition; it may also emit, delay or cancel events, unless the option
---- `sends` lists the events of the callback. Without text it may do anything.
+--- Note what a callback may do that the exploration does not follow: it may add a
+--- transition, or write the target of one; it may also emit, delay or cancel events,
+--- unless the option `sends` lists the events of the callback. Without text it may do
+--- anything.
 function replacements.note_writer(self, name, callback)
   if not callback then return end
   local is_run = self.runs[callback]
   local is_listed = is_run or self.sends[name] or self.dry_sends[name]
   local function note(list) list[#list + 1] = name end
   note_text(self, name, callback)
-  if not is_run and writes.may_write(callback, { "tgt" }) then note(self.writers) end
+  if writes.may_call(callback, rfsm, "fsm_merge")
+    or not is_run and writes.may_write(callback, { "tgt" }) then
+    note(self.writers)
+  end
   if not is_listed then note_senders(self, name, callback) end
   if self.sends[name] and not is_run then return end
   local timeevent = package.loaded.rfsm_timeevent

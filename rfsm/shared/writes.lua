@@ -415,9 +415,9 @@ end
 ---@return boolean
 function writes.may_call(callback, module, name)
   local f = module and module[name]
-  return writes.each(callback, function(text, own)
-    return text:find("%f[%w_]" .. name .. "%f[^%w_]") or f and order.any(
-      calls.upvalues_of(own), function(upvalue) return rawequal(upvalue.value, f) end)
+  return writes.each(callback, function(text, _, upvalues)
+    return text:find("%f[%w_]" .. name .. "%f[^%w_]")
+      or f and match.has(called_by(text, upvalues), f)
   end, {})
 end
 
