@@ -553,7 +553,9 @@ describe("rfsm-check", function()
 
   it("finds nothing in the examples that is not expected there", function()
     local rest, count = run("rfsm-check examples/*.lua"):gsub("[^\n]*: ok[^\n]*\n", "")
-    assert.equal("", rest)
+    assert.matches("^examples/dynamic.lua: [^\n]*\nexamples/dynamic.lua: not tried: "
+      .. "transitions that the effect root.trans%[2%] may change or add;[^\n]*\n$",
+      rest)
     assert.is_true(count > 10)
   end)
 
