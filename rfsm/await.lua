@@ -148,11 +148,12 @@ local function hide_source(text, fqn)
 end
 
 -- Splits "e_a, 'e_b'" into names without blanks and quotes. Returns nil if a name is
--- empty.
+-- empty, or has another separator and no quotes.
 local function split(text, fqn)
   local names = {}
   for part in (text .. ","):gmatch("([^,]*),") do
     local name = part:match("^%s*(.-)%s*$")
+    if name:find("^[^'\"]*[;|]") then return nil end
     name = name:match("^(['\"]).*%1$") and name:sub(2, -2) or name
     if name == "" then return nil end
     local event, count = name:gsub("@" .. SOURCE .. "$", "")

@@ -93,6 +93,7 @@ end)
 describe("an await that is wrong", function()
   for _, text in ipairs {
     "await()", "await(e_x,)", "await(e_x", "await(await(e_x), e_y)",
+    "await(e_x; e_y)", "await(e_x | e_y)",
   } do
     it("is a problem of the model: " .. text, function()
       local _, _, problems = rfsm.init(chart({ text }, { err = false }))
