@@ -129,7 +129,8 @@ local function note_change(track, rec, field)
   local kept = encoding.attempt(snapshot.take_data, track.fsm)
   if kept and not tracks.same(kept, track.kept) then
     if field == "regions" then
-      order.append(rec, field, track.m, kept)
+      order.append(rec, field, track.m)
+      order.append(rec, field, kept)
     else
       rec[field] = kept
     end
@@ -302,7 +303,8 @@ end
 function listener.guard(_, track, number, guard, tr, events, event)
   local ok, answer = calls.try(guard, tr, events, event)
   if track.rec then
-    order.append(track.rec, "guards", number, ok and answer ~= false or not ok
+    order.append(track.rec, "guards", number)
+    order.append(track.rec, "guards", ok and answer ~= false or not ok
       and text_of(answer))
   end
   if ok then return answer end

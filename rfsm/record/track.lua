@@ -197,7 +197,8 @@ function track.guard_texts(fsm)
     for number, tr in ipairs(rfsm.elements(at.machine, rfsm.is_trans)) do
       if tr.guard then
         has_some = true
-        order.append(lists, i, number, tostring(tr))
+        order.append(lists, i, number)
+        order.append(lists, i, tostring(tr))
       end
     end
   end

@@ -426,7 +426,7 @@ function charts.step_noting(chart, steps)
   for i, leaf in ipairs(leaves_in(chart)) do
     has_moved = has_moved or leaf ~= leaves[i]
   end
-  local gone = before[1] and order.missing(before, waiting_in(chart)) or before
+  local gone = before[1] and migrate.missing(before, waiting_in(chart)) or before
   return is_idle, is_taken, has_moved,
     gone[1] and " (recalled: " .. concat(gone, ", ") .. ")"
 end

@@ -12,7 +12,7 @@
 -- @module rfsm.shared.order
 -- @license BSD-3-Clause
 
-local ipairs, next, rawget, select = ipairs, next, rawget, select
+local ipairs, next, rawget = ipairs, next, rawget
 local jit = rawget(_G, "jit")
 
 local order = {}
@@ -52,22 +52,10 @@ function order.map(list, f, ...)
   return results
 end
 
---- Append values to the list t[key], which is made if it is absent.
-function order.append(t, key, ...)
+--- Append a value to the list t[key], which is made if it is absent.
+function order.append(t, key, value)
   local list = t[key] or {}
-  t[key] = list
-  for i = 1, select("#", ...) do list[#list + 1] = (select(i, ...)) end
-end
-
---- List the values of a list that another list has not, or has less often.
-function order.missing(list, other)
-  local counts, found = {}, {}
-  for _, value in ipairs(other) do counts[value] = (counts[value] or 0) + 1 end
-  for _, value in ipairs(list) do
-    counts[value] = (counts[value] or 0) - 1
-    if counts[value] < 0 then found[#found + 1] = value end
-  end
-  return found
+  t[key], list[#list + 1] = list, value
 end
 
 return order

@@ -250,10 +250,21 @@ end
 
 -- Move a snapshot from another chart ------------------------------------------------
 
+--- List the values of a list that another list has not, or has less often.
+function migrate.missing(list, other)
+  local counts, found = {}, {}
+  for _, value in ipairs(other) do counts[value] = (counts[value] or 0) + 1 end
+  for _, value in ipairs(list) do
+    counts[value] = (counts[value] or 0) - 1
+    if counts[value] < 0 then found[#found + 1] = value end
+  end
+  return found
+end
+
 --- List the lines that only one of two structures has. If they have the same lines, the
 -- list says that their order differs.
 function migrate.difference(old, new)
-  local list, gone = order.missing(new, old), order.missing(old, new)
+  local list, gone = migrate.missing(new, old), migrate.missing(old, new)
   for i, line in ipairs(list) do list[i] = "new: " .. line end
   for _, line in ipairs(gone) do list[#list + 1] = "gone: " .. line end
   if not list[1] then list[1] = "the order of the transitions" end
