@@ -444,7 +444,7 @@ describe("loading a chart", function()
       lines[#lines + 1] = line
     end)
     assert.is_false(fsm)
-    assert.same({ file .. ":1: root.entry: function expected, got number 7" },
+    assert.same({ file .. ":2: root.entry: function expected, got number 7" },
       problems)
     assert.same({ file .. ":1: warning: undefined global 'of_chart' (nil while the "
       .. "chart is loaded)" }, lines)
