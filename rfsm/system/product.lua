@@ -129,13 +129,20 @@ local function new_outcome(member, try, tgt, count)
   return outcome
 end
 
+-- Returns the text of some lists of puts.
+local function text_of_puts(lists)
+  local texts = {}
+  for _, list in ipairs(lists) do
+    for _, put in ipairs(list) do texts[#texts + 1] = put.text end
+  end
+  return concat(texts)
+end
+
 -- Returns a text that is different for different outcomes.
 local function text_of(outcome)
-  local texts = { outcome.tgt, concat(outcome.taken, ","),
+  return concat({ outcome.tgt, concat(outcome.taken, ","),
     outcome.outside[1] and "outside" or "", outcome.may_rest and "may rest" or "",
-    concat(rfsm.sorted_keys(outcome.came), ",") }
-  for _, put in ipairs(outcome.puts) do texts[#texts + 1] = put.text end
-  return concat(texts, " ")
+    concat(rfsm.sorted_keys(outcome.came), ","), text_of_puts { outcome.puts } }, " ")
 end
 
 -- Adds the outcome of the last step, unless the list has an equal outcome. The first
@@ -201,15 +208,6 @@ end
 
 --- Return a configuration by its number.
 function Product:configuration(number) return self.keys[number] end
-
--- Returns the text of some lists of puts.
-local function text_of_puts(lists)
-  local texts = {}
-  for _, list in ipairs(lists) do
-    for _, put in ipairs(list) do texts[#texts + 1] = put.text end
-  end
-  return concat(texts)
-end
 
 -- Returns the first value that was kept under a text, so that equal parts of different
 -- configurations are one table.
