@@ -245,7 +245,8 @@ end
 -- Adds the guards that get an example of `classes`, if they only read: their answer is
 -- known.
 local function add_guards(self, fsm)
-  for _, tr in ipairs(match.transitions_of(fsm)) do
+  local transitions = order.is_empty(self.classes) and {} or match.transitions_of(fsm)
+  for _, tr in ipairs(transitions) do
     local has_example = order.any(tr.events or {}, function(event)
       return self.is_example[event]
     end)
