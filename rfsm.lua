@@ -124,9 +124,10 @@ do
     }
   end
 
-  -- Has a table a class of its own, which an element would lose, or that is protected?
+  -- Has a table that is no element a class, which an element would lose, or that is
+  -- protected?
   local function is_object(t)
-    local class = not (kind_of(t) or rfsm.is_foreign(t)) and getmetatable(t)
+    local class = not rfsm.is_foreign(t) and getmetatable(t)
     return class and (type(class) ~= "table" or rawget(class, "__index") ~= nil)
   end
 
@@ -134,13 +135,14 @@ do
   -- of class X. An element made by base:new{...} inherits from the element `base`.
   function define(class, name)
     local function mark(base, t, level)
-      if type(t) ~= "table" or rawequal(t, rfsm) then
+      local kind = type(t) == "table" and kind_of(t)
+      if kind and rawget(t, "_parent") ~= nil then return t end -- in a machine
+      if type(t) ~= "table" or rawequal(t, rfsm) or kind and kind ~= class.rfsm then
         error("rfsm." .. name .. ": table expected, " .. rfsm.got(t), level + 1)
-      elseif is_object(t) then
+      elseif not kind and is_object(t) then
         error("rfsm." .. name .. ": plain table expected, got an object, whose class "
           .. "would be lost (make it a field of the " .. name .. ")", level + 1)
       end
-      if rawget(t, "_parent") ~= nil and kind_of(t) then return t end -- in a machine
       rfsm.note_location(t, level + 1)
       return setmetatable(t, base == class and class or heir_class(base))
     end
@@ -313,9 +315,10 @@ do
   --
   ---@param name string
   ---@return fun(event: any): boolean predicate
-  function rfsm.named(name)
-    if type(name) ~= "string" then
-      error("rfsm.named: name of an event expected, " .. rfsm.got(name), 2)
+  function rfsm.named(name, ...)
+    if type(name) ~= "string" or (...) ~= nil then
+      error("rfsm.named: name of an event expected, " .. rfsm.got(name)
+        .. ((...) ~= nil and " and more" or ""), 2)
     end
     local predicate = predicates[name]
     if not predicate then

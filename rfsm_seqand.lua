@@ -442,7 +442,7 @@ end
 
 -- Returns a state with the given fields; if a field is wrong, nil and the problem.
 local function new_state(fields)
-  if type(fields) ~= "table" or rawequal(fields, rfsm) then
+  if type(fields) ~= "table" or rawequal(fields, rfsm) or rfsm.kind_of(fields) then
     return nil, "table expected, " .. got(fields)
   end
   local state, regions = {}, setmetatable({}, Substates)

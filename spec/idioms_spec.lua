@@ -333,6 +333,15 @@ describe("a table of somebody else", function()
     assert.is_true(rfsm.is_composite(marked("state", { a = marked "state" })))
   end)
 
+  it("is refused if it is an element of another kind", function()
+    for name, made in pairs { state = trans {}, trans = state {}, conn = state {},
+      seqand = state {}, named = "e_a" } do -- any order: each alone
+      local _, text = pcall(function() local _ = rfsm[name](made, "e_b") end)
+      assert.matches("^%S*idioms_spec.lua:%d+: rfsm." .. name .. ": [%w ]+ expected, "
+        .. "got " .. (rfsm.kind_of(made) or "string 'e_a' and more") .. "$", text)
+    end
+  end)
+
   it("is refused with a class, which it would lose", function()
     local class = {}
     class.__index = class
