@@ -334,8 +334,8 @@ describe("a table of somebody else", function()
   end)
 
   it("is refused if it is an element of another kind", function()
-    for name, made in pairs { state = trans {}, trans = state {}, conn = state {},
-      seqand = state {}, named = "e_a" } do -- any order: each alone
+    for name, made in pairs { -- any order: each alone
+      state = trans {}, trans = state {}, conn = state {}, named = "e_a" } do
       local _, text = pcall(function() local _ = rfsm[name](made, "e_b") end)
       assert.matches("^%S*idioms_spec.lua:%d+: rfsm." .. name .. ": [%w ]+ expected, "
         .. "got " .. (rfsm.kind_of(made) or "string 'e_a' and more") .. "$", text)

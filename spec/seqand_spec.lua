@@ -164,6 +164,8 @@ describe("a wrong sequential AND state", function()
 
   it("is refused without fields, and for an order without regions", function()
     assert.equal("rfsm.seqand: table expected, got nil", helper.refusal(seqand.new))
+    assert.equal("rfsm.seqand: table expected, got state", helper.refusal(seqand.new,
+      rfsm.state { a = rfsm.state {} }))
     assert.equal("rfsm.seqand: table expected, got the library (rfsm.f, not rfsm:f)",
       helper.refusal(seqand.new, rfsm))
     local _, text = pcall(function() return (seqand { order = { "up" } }) end)
