@@ -757,11 +757,12 @@ do
   --   _elements    for `elements`, while preproc functions run
   --   _emit        the function given to `set_emit`
   --   _has_always  has a transition that needs no event: no iteration is usual
+  --   _searched    the iteration whose search `note_cut` has ended last
   local LATER_FIELDS = " _again _elements _emit _entrance _entry_hooks _event "
     .. "_exit_hooks _failed _failure _fate_hooks _fates _given_to _got _guard_hooks "
     .. "_has_always _has_paths _owner _path_hooks _preparing _reaction_hooks "
-    .. "_region_name _reset_hooks _reset_wanted _snapshot_hooks _source_hooks "
-    .. "_structure _waiting_hooks _watch_hooks "
+    .. "_region_name _reset_hooks _reset_wanted _searched _snapshot_hooks "
+    .. "_source_hooks _structure _waiting_hooks _watch_hooks "
 
   -- Checks the name of a node: a path can contain it, and it is no field of the parent.
   local function check_name(build, kind, node)

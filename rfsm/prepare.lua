@@ -6,7 +6,7 @@
 -- @module rfsm.prepare
 -- @license BSD-3-Clause
 
-local ipairs, pairs, rawequal, setmetatable = ipairs, pairs, rawequal, setmetatable
+local ipairs, pairs = ipairs, pairs
 
 local NONE = {}
 local MOST_PATHS, MOST_SEGMENTS = 50, 6 -- for a leaf and an event; in a path
@@ -105,20 +105,6 @@ return function(core, engine)
     return places
   end
 
-  -- The searches that were cut: machine -> the iteration and its first event.
-  local searches = setmetatable({}, { __mode = "k" })
-
-  -- Ends a search that was cut in the same iteration before: it finds no transition.
-  local function note_search(machine)
-    local event, last = machine._curq[1], searches[machine]
-    if not last or last.turn ~= machine._turn or not rawequal(last.event, event) then
-      searches[machine] = { turn = machine._turn, event = event }
-      return
-    end
-    searches[machine] = nil
-    machine._outcome, machine._hook, machine._phase = "free", 0, "finish"
-  end
-
   --- Note that the step under way will never return, for hosts that know this.
   --
   -- An exception of C++ that goes through Lua ends a step, and no pcall notices that.
@@ -135,7 +121,13 @@ return function(core, engine)
       local machine, leaf = at.machine, at.machine._act_leaf
       -- the doo that steps regions begins anew: its coroutine cannot be resumed
       if machine._phase == "doo" and rfsm.regions(leaf)[1] then leaf._doo_co = nil end
-      if machine._phase == "search" then note_search(machine) end
+      if machine._phase == "search" then
+        local is_second = machine._searched == machine._turn
+        machine._searched = machine._turn
+        if is_second then
+          machine._outcome, machine._hook, machine._phase = "free", 0, "finish"
+        end
+      end
       if machine._phase ~= "idle" then engine.cut(machine) end
     end
     return true
