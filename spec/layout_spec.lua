@@ -722,6 +722,12 @@ describe("a text in lines", function()
     assert.same({ "get_", "name" }, wrap("get_name", 6))
     assert.same({ "abcdef", "gh" }, wrap("abcdefgh", 6))
   end)
+
+  it("has no line with nothing but the sign of an effect", function()
+    assert.same({ "e_10", "/ send(fsm,", "e_rth)" },
+      diagram.wrap({ "e_10", "/ send(fsm, e_rth)" }, 12))
+    assert.same({ "/ abcd", "efgh" }, wrap("/ abcdefgh", 6))
+  end)
 end)
 
 describe("the drawn graph", function()

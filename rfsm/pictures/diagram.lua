@@ -143,17 +143,18 @@ local function add_word(lines, word, width, can_join)
   end
   while length_of(word) > width do
     local head = word:match("^" .. CHARACTER:rep(width))
-    head = head:match("^.+ ") or head:match("^.+[_./:,;(@-]") or head
+    head = head:match("^..+ ") or head:match("^.+[_./:,;(@-]") or head
     lines[#lines + 1], word = head:gsub(" $", ""), word:sub(#head + 1)
   end
   lines[#lines + 1] = word
 end
 
--- Returns the words of a line. Spaces in parentheses do not end a word.
+-- Returns the words of a line. Spaces in parentheses, and the one of "/ effect", do not
+-- end a word.
 local function words_in(line)
   local words, depth = {}, 0
   for word in line:gmatch("[^ ]+") do
-    if depth > 0 then
+    if depth > 0 or words[#words] == "/" then
       words[#words] = words[#words] .. " " .. word
     else
       words[#words + 1] = word
@@ -167,8 +168,10 @@ end
 
 -- Appends a line. If it is too long, its words are put into several lines.
 local function add_line(lines, line, width, can_join)
-  if length_of(line) <= width then return add_word(lines, line, width, can_join) end
-  for i, word in ipairs(words_in(line)) do add_word(lines, word, width, i > 1) end
+  local is_short = length_of(line) <= width
+  for i, word in ipairs(is_short and { line } or words_in(line)) do
+    add_word(lines, word, width, i > 1 or is_short and can_join)
+  end
 end
 
 --- Return texts in lines of at most `width` characters. A short text continues the line
