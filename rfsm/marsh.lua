@@ -170,8 +170,9 @@ local function name_in_line(f, line, count)
 end
 
 local LONGEST = 40 -- most bytes of a body that is shown
+local HEAD = "function%s*%b()%s*"
 
--- Returns the body of the function whose head a line matches; nil if the line has two
+-- Returns the body of the function whose head a text matches; nil if the text has two
 -- of them. The body ends at the first "end" at which it is whole.
 local function body_behind(line, head)
   local text, is_only = line:match(head .. "(.*)"), select(2, line:gsub(head, "")) == 1
@@ -186,9 +187,9 @@ local function body_of(info, lines, count, field)
   local first, last = info.linedefined, info.lastlinedefined
   local body
   if first == last and count == 1 then
-    body = body_behind(lines[first], "function%s*%b()%s*")
+    body = body_behind(lines[first], HEAD)
   elseif first == last and field then
-    body = body_behind(lines[first], "%f[%w_]" .. field .. "%s*=%s*function%s*%b()%s*")
+    body = body_behind(lines[first], "%f[%w_]" .. field .. "%s*=%s*" .. HEAD)
   elseif last == first + 2 and lines[first]:find("function%s*%b()%s*$") then
     body = lines[first + 1]:gsub("%s+%-%-.*$", ""):match("^%s*(.*)$")
   end
@@ -231,10 +232,11 @@ end
 -- Returns the calls in the body of a function, in short: "motor.stop(), log(..)".
 local function calls_of(info, lines)
   local text = concat(lines, "\n", info.linedefined, info.lastlinedefined)
-  text = text:gsub('"[^"\n]*"', '""'):gsub("'[^'\n]*'", '""')
+  text = (body_behind(text, HEAD) or text:match(HEAD .. "(.*)") or "")
+    :gsub('"[^"\n]*"', '""'):gsub("'[^'\n]*'", '""')
     :gsub("%-%-[^\n]*", "")
   local result, last = nil, nil
-  each_call(text:match("function%s*%b()(.*)") or "", function(call)
+  each_call(text, function(call)
     if call == last or last == ".." then return end
     last = (not result or #result + #call < LONGEST) and call or ".."
     result = (result and result .. ", " or "") .. last

@@ -206,6 +206,12 @@ describe("the text of a callback", function()
     end
   end)
 
+  it("is not what is behind its end", function()
+    assert.equal("..", text_in("return function() end, tostring(1)"))
+    assert.equal("a(), b()", text_in("return function()\na()\nif x then b() end\n"
+      .. "end, tostring(1)"))
+  end)
+
   it("is .. otherwise, with file and line beside it", function()
     assert.equal("..", text_of(function() end))
     local load = rawget(_G, "loadstring") or load
