@@ -12,6 +12,7 @@ local choice = require "rfsm.pictures.choice"
 local files = require "rfsm.shared.files"
 local marsh = require "rfsm.marsh"
 local opts = require "rfsm.shared.options"
+local order = require "rfsm.shared.order"
 local rfsm = require "rfsm"
 
 local assert, error, ipairs, pcall = assert, error, ipairs, pcall
@@ -365,17 +366,6 @@ end
 
 -- Bundles: arrows with equal ends become one, with a line for each in its label --
 
--- Returns a table from each arrow to the list of all arrows with its ends.
-local function groups_of(arrows)
-  local groups, by_ends = {}, {}
-  for _, arrow in ipairs(arrows) do
-    local ends = arrow.src.id .. " " .. arrow.tgt.id
-    by_ends[ends] = by_ends[ends] or {}
-    groups[arrow], by_ends[ends][#by_ends[ends] + 1] = by_ends[ends], arrow
-  end
-  return groups
-end
-
 -- Is a list of arrows drawn as a bundle? Graphviz draws a loop through the labels of
 -- the loops inside of it, so two of them are one already.
 local function is_bundle(group)
@@ -397,9 +387,11 @@ end
 
 -- Returns the arrows of a picture. A bundle is where its first arrow was.
 local function tied(arrows)
-  local groups, list = groups_of(arrows), {}
+  local groups, list = {}, {}
+  local function pair_of(arrow) return arrow.src.id .. " " .. arrow.tgt.id end
+  for _, arrow in ipairs(arrows) do order.append(groups, pair_of(arrow), arrow) end
   for _, arrow in ipairs(arrows) do
-    local group = groups[arrow]
+    local group = groups[pair_of(arrow)]
     if not is_bundle(group) then
       list[#list + 1] = arrow
     elseif group[1] == arrow then

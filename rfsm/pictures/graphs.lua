@@ -245,11 +245,6 @@ local function end_text(level, link, is_tail)
   return id .. ":" .. name .. (port or SIDES[side] .. link.id) .. compass
 end
 
-local function dir_of(link)
-  if not link.has_head then return "none" end
-  return link.is_turned and "back" or "forward"
-end
-
 -- Returns how many points of room are around a label.
 local function room_of(level)
   if not level.is_tight then return 3 end
@@ -258,8 +253,9 @@ end
 
 local function add_link(lines, level, link)
   local has_label = link.is_home and link.arrow.parts[1]
+  local dir = link.has_head and (link.is_turned and "back" or "forward") or "none"
   add(lines, 1, ("%s -> %s [id=%d, dir=%s%s]"):format(end_text(level, link, true),
-    end_text(level, link, false), link.id, dir_of(link),
+    end_text(level, link, false), link.id, dir,
     has_label and ", label=" .. looks.roomy_label(link.arrow, room_of(level)) or ""))
 end
 

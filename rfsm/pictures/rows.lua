@@ -12,6 +12,7 @@
 -- @license BSD-3-Clause
 
 local lines = require "rfsm.pictures.lines"
+local order = require "rfsm.shared.order"
 
 local ceil, ipairs, max, min = math.ceil, ipairs, math.max, math.min
 local concat, insert, sqrt = table.concat, table.insert, math.sqrt
@@ -84,8 +85,7 @@ function rows.prepare(level)
   for _, link in ipairs(level.links) do
     local a, b = nodes_of(link)
     if a and can_be_straight(link, a, b) then
-      pairs_of[a.index] = pairs_of[a.index] or {}
-      pairs_of[a.index][#pairs_of[a.index] + 1] = link
+      order.append(pairs_of, a.index, link)
     elseif a then
       separate(level, a.index, b.index, 1)
     end
@@ -160,8 +160,6 @@ function rows.apply(level, numbers, boxes)
   local run
   level.rows, level.run_of, level.sizes = {}, {}, boxes
   for i, number in ipairs(numbers) do
-    local row = level.rows[number] or {}
-    level.rows[number] = row
     if numbers[i - 1] == number and level.rooms[i - 1].links[1] then
       level.run_of[run.first], level.run_of[i] = run, run
       for _, link in ipairs(level.rooms[i - 1].links) do
@@ -169,7 +167,7 @@ function rows.apply(level, numbers, boxes)
       end
     else
       run = { id = "r" .. i, first = i, nodes = {}, at = {} }
-      row[#row + 1] = run
+      order.append(level.rows, number, run)
     end
     insert(run.nodes, number % 2 == 1 and #run.nodes + 1 or 1, i)
   end

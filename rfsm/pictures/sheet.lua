@@ -40,10 +40,6 @@ local function put(shape)
   end
 end
 
-local function text_of(deal)
-  return type(deal) == "table" and concat(deal, " ") or deal
-end
-
 -- Judging ---------------------------------------------------------------------
 
 -- Is a part of the piece from a to b in a box, deeper than its round corners?
@@ -252,7 +248,8 @@ end
 
 -- Adds a shape to a level, and to the jobs. Returns it, or the equal one that is there.
 local function add_shape(jobs, level, aim, deal, kids)
-  local texts = { aim == "first" and "loose" or "tight", text_of(deal) }
+  local texts = { aim == "first" and "loose" or "tight",
+    type(deal) == "table" and concat(deal, " ") or deal }
   for i in ipairs(level.composite.nodes) do
     texts[#texts + 1] = kids[i] and kids[i].key
   end
@@ -364,8 +361,9 @@ function sheet.lay_out(chart, run)
   local keys, heights, aims = {}, by_height(chart), { "first" }
   local problem = lay_out_height(heights[1], aims, run)
   if problem then return problem end
-  chart.is_large = is_large(chart, heights)
-  for i, aim in ipairs(chart.is_large and AIMS or {}) do aims[i + 1] = aim end
+  for i, aim in ipairs(is_large(chart, heights) and AIMS or {}) do
+    aims[i + 1] = aim
+  end
   aims[#aims + 1] = chart.kind == "sheet" and "former" or nil
   for _, list in ipairs(heights) do
     problem = lay_out_height(list, aims, run)
