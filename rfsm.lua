@@ -314,6 +314,7 @@ do
   -- Equal names give the same predicate; `rfsm.event_name` returns a predicate's name.
   --
   ---@param name string
+  ---@param ... nil a second name is an error
   ---@return fun(event: any): boolean predicate
   function rfsm.named(name, ...)
     if type(name) ~= "string" or (...) ~= nil then

@@ -52,7 +52,7 @@ local function lines_of(text)
     local field = rest:match("^([%w_]+%.[%w_]+) =")
     local kind = comment:match("@type ([^\n]*)") or ""
     if name then
-      if not comment:find("@param ...", 1, true) then
+      if (comment:match("@param %.%.%. (%S*)") or "nil") == "nil" then
         arguments = arguments:gsub(", %.%.%.", "")
       end
       add(lines, name, arguments, comment)
