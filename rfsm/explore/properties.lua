@@ -174,6 +174,7 @@ end
 -- `never("root.moving").since("e_stop")` is `after("e_stop").never("root.moving")`.
 --
 ---@param condition string|string[]|fun(active: fun(name: string): boolean): boolean
+---@param ... nil an argument too many is an error
 ---@return rfsm_checks.Property
 function properties.never(condition, ...)
   local property = new("never", { what = checked("never", "what", condition, ...) })
@@ -188,6 +189,7 @@ end
 -- condition has held. Neither has to come.
 --
 ---@param condition string|string[]|fun(active: fun(name: string): boolean): boolean
+---@param ... nil an argument too many is an error
 ---@return rfsm_checks.Property
 function properties.always(condition, ...)
   local parts = { what = checked("always", "what", condition, ...) }
@@ -213,6 +215,7 @@ end
 -- `taken root.trans[2]`, too.
 --
 ---@param event any
+---@param ... nil an argument too many is an error
 ---@return table of `reach(condition)`, `leads_to(condition)`, `never(condition)`
 function properties.after(event, ...)
   return after("after(...)", checked("after", "event", event, ...))
@@ -227,6 +230,7 @@ end
 --
 ---@param condition any
 ---@return table of `can_reach(condition)`, `left_within(seconds)`, `stays(seconds)`,
+---@param ... nil an argument too many is an error
 -- `after(event)`
 function properties.from(condition, ...)
   local parts = { what = checked("from", "what", condition, ...) }
@@ -244,6 +248,7 @@ end
 --- each such event.
 ---@param first any
 ---@param second any
+---@param ... nil an argument too many is an error
 ---@return rfsm_checks.Property
 function properties.precedes(first, second, ...)
   local parts = { what = checked("precedes", "what", first),
@@ -257,6 +262,7 @@ end
 --- one holds, and that the second one holds eventually.
 ---@param first any
 ---@param second any
+---@param ... nil an argument too many is an error
 ---@return rfsm_checks.Property
 function properties.until_(first, second, ...)
   return new("until", { what = checked("until_", "what", first),
@@ -289,6 +295,7 @@ end
 --- length: `at_most(3, "e_retry").within(10)`.
 ---@param count integer most steps with the event
 ---@param event any
+---@param ... nil an argument too many is an error
 ---@return { within: fun(seconds: number): rfsm_checks.Property }
 function properties.at_most(count, event, ...)
   return first_half("at_most(...)", { count = checked("at_most", "count", count),
@@ -300,6 +307,7 @@ end
 --- length after the first entry: `at_least(1, "e_heartbeat").within(5)`.
 ---@param count integer fewest steps with the event
 ---@param event any
+---@param ... nil an argument too many is an error
 ---@return { within: fun(seconds: number): rfsm_checks.Property }
 function properties.at_least(count, event, ...)
   return first_half("at_least(...)", { count = checked("at_least", "count", count),
