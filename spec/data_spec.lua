@@ -796,6 +796,20 @@ describe("a callback that is run", function()
     assert.is_false(holds)
   end)
 
+  it("is known if it is an effect that reads no event, or one without data", function()
+    local function is_ten(tr) return tr._fsm.n >= 10 end
+    local function fill(fsm) fsm.n = 20 end
+    local function fill_by(fsm, _, _, events)
+      fsm.n = events[1] == "e_fill" and 20 or 0
+    end
+    for i, case in ipairs { { fill, named "e_pay" }, { fill_by, "e_fill" } } do
+      local result = judged({ [2] = { guard = is_ten },
+        [3] = go("a", "internal", case[2], { effect = case[1] }) },
+        { run = { case[1], is_ten }, vars = { n = { 0, 20 } } })
+      assert.same({ i, false }, { i, result[1], result[4] })
+    end
+  end)
+
   it("leaves it open if it is an effect or doo that reads data, or fails", function()
     local function is_ten(tr) return tr._fsm.n >= 10 end
     local function add(fsm, _, _, events) fsm.n = fsm.n + events[1].amount end
