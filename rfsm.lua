@@ -67,13 +67,12 @@ do
   ---@return "state"|"transition"|"connector"|nil kind
   function rfsm.kind_of(value)
     local class = getmetatable(value)
-    if class == nil then return nil end
-    local known = KINDS[class]
+    local known = class ~= nil and KINDS[class]
     if known then return known end
     local mark = type(class) == "table" and rawget(class, "rfsm")
-    if not mark then return nil end
-    if CLASSES[mark] then return mark end
+    if not mark or CLASSES[mark] then return mark or nil end
     local ok, kind = pcall(ask_type, value)
+    if not ok and rfsm.is_interrupt(kind) then error(kind, 0) end
     return ok and CLASSES[kind] and kind or nil
   end
 end
@@ -83,15 +82,12 @@ local kind_of = rfsm.kind_of
 -- Where the tables of a model were made: table -> "file:line".
 local made_at = setmetatable({}, { __mode = "k" })
 
-local define
+local define, this_chunk
 
 do
   local getinfo = find_global("debug", "getinfo")
-  local this_file = getinfo and getinfo(1, "S").short_src
+  this_chunk = getinfo and getinfo(1, "S")
   local knows_tail_calls = getinfo ~= nil and pcall(getinfo, 1, "t")
-
-  -- The texts of places: source -> line -> "file:line". A source may be a long text.
-  local places = setmetatable({}, { __mode = "v" })
 
   --- Record where an element was made, for constructors in extensions.
   --
@@ -104,24 +100,17 @@ do
     if not getinfo then return end
     if knows_tail_calls and getinfo(level, "t").istailcall then return end
     local caller = getinfo(level + 1, "Sl")
-    if caller and caller.currentline > 0 and caller.short_src ~= this_file then
-      local source, line = caller.source, caller.currentline
-      local texts = places[source] or {}
-      if not texts[line] then
-        local file = source:match("^@(.*)") or caller.short_src -- at most 60 bytes
-        places[source], texts[line] = texts, ("%s:%d"):format(file, line)
-      end
-      made_at[t] = texts[line]
+    if caller and caller.currentline > 0
+      and caller.short_src ~= this_chunk.short_src then
+      local file = caller.source:match("^@(.*)") or caller.short_src -- at most 60 bytes
+      made_at[t] = ("%s:%d"):format(file, caller.currentline)
     end
   end
 
   -- Returns a metatable for elements that inherit from `base`, a state or transition.
   local function heir_class(base)
     local class = getmetatable(base)
-    return {
-      rfsm = class.rfsm, type = class.type, new = class.new, __index = base,
-      __tostring = class.__tostring,
-    }
+    return { rfsm = class.rfsm, __index = base, __tostring = class.__tostring }
   end
 
   -- Has a table that is no element a class, which an element would lose, or that is
@@ -134,24 +123,21 @@ do
   -- Makes a class its own constructor: X{...} or X:new{...} marks a table as an element
   -- of class X. An element made by base:new{...} inherits from the element `base`.
   function define(class, name)
-    local function mark(base, t, level)
+    function class.new(base, t)
       local kind = type(t) == "table" and kind_of(t)
       if kind and rawget(t, "_parent") ~= nil then return t end -- in a machine
       if type(t) ~= "table" or rawequal(t, rfsm) or kind and kind ~= class.rfsm then
-        error("rfsm." .. name .. ": table expected, " .. rfsm.got(t), level + 1)
+        error("rfsm." .. name .. ": table expected, " .. rfsm.got(t), 2)
       elseif not kind and is_object(t) then
         error("rfsm." .. name .. ": plain table expected, got an object, whose class "
-          .. "would be lost (make it a field of the " .. name .. ")", level + 1)
+          .. "would be lost (make it a field of the " .. name .. ")", 2)
       end
-      rfsm.note_location(t, level + 1)
+      rfsm.note_location(t, 2)
       return setmetatable(t, base == class and class or heir_class(base))
     end
-    class.__index = class
-    function class.new(base, t) return (mark(base, t, 2)) end
     function class.type() return class.rfsm end
-    return setmetatable(class, {
-      __call = function(_, t) return (mark(class, t, 2)) end,
-    })
+    class.__index = class
+    return setmetatable(class, { __call = class.new })
   end
 end
 
@@ -247,6 +233,7 @@ end
 ---@param format? string of a number without other text ("%.14g")
 ---@return string
 function rfsm.number_text(number, format)
+  if number ~= number then return "nan" end -- some print "-nan"
   return ((format or "%.14g"):format(number):gsub("[^%d%l+-]+", "."))
 end
 
@@ -255,7 +242,7 @@ end
 ---@return number?
 function rfsm.number_of(text)
   if type(text) ~= "string" then return type(text) == "number" and text or nil end
-  if text:find("[^%w%s.+-]") then return nil end
+  if text:find("[^%x%s.+xXpP-]") or text:find("^%s*[+-]?0[bB]") then return nil end
   local point = ("%.1f"):format(0.5):sub(2, -2)
   return find_global "tonumber"((text:gsub("%.", point)))
 end
@@ -283,6 +270,7 @@ function rfsm.text_of(value)
   if kind == "string" then return value end
   if kind == "number" then return rfsm.number_text(value) end
   local ok, text = pcall(tostring, value)
+  if not ok and rfsm.is_interrupt(text) then error(text, 0) end
   return ok and type(text) == "string" and text or kind
 end
 
@@ -358,11 +346,9 @@ do
   function rfsm.event_text(event, has_room)
     local name = event_names[event]
     if name then return has_room and name .. "{..}" or name end
-    if type(event) ~= "table" or getmetatable(event) then
-      return identity_text(event)
-    end
+    local is_plain = type(event) == "table" and not getmetatable(event)
+    local pp = is_plain and has_room and rfsm.pp
     name = name_with_data(event)
-    local pp = has_room and rfsm.pp
     if pp then return pp.short_text(event, name) end
     return name or identity_text(event)
   end
@@ -602,8 +588,7 @@ local function name_of(obj, field)
 end
 
 -- Adds a problem or warning to a list, and returns it.
-local function add(list, obj, field, text, ...)
-  if select("#", ...) > 0 then text = text:format(...) end
+local function add(list, obj, field, text)
   local found = {
     file = made_at[obj._model], line = name_of(obj, field) .. ": " .. text,
     code = "init",
@@ -662,9 +647,8 @@ local LIVE = {}
 
 for kind, class in pairs(CLASSES) do -- any order: independent entries
   LIVE[kind] = {
-    rfsm = kind, type = class.type, new = class.new, __tostring = class.__tostring,
+    rfsm = kind, __tostring = class.__tostring, __index = class,
     __eq = rawequal, -- so that the `__eq` of another value is never called
-    __index = class,
   }
   KINDS[class], KINDS[LIVE[kind]] = kind, kind
 end
@@ -686,7 +670,7 @@ LIVE.state.__index = {
 ---@return boolean
 function rfsm.is_foreign(value)
   local class = type(value) == "table" and getmetatable(value)
-  if KINDS[class] then return false end
+  if not class or KINDS[class] then return false end
   local copy = type(class) == "table" and rawget(class, "rfsm_copy")
   return type(copy) == "table" and not rawequal(copy, rfsm)
 end
@@ -696,9 +680,8 @@ end
 ---@return any model or `value` itself, if it is not a part of a machine
 function rfsm.model_of(value)
   local class = getmetatable(value)
-  local kind = class ~= nil and KINDS[class]
-  local is_live = kind and (class == Machine or class == LIVE[kind])
-  return is_live and value._model or value
+  local kind = KINDS[class]
+  return kind and class ~= CLASSES[kind] and value._model or value
 end
 
 local is_foreign, model_of = rfsm.is_foreign, rfsm.model_of
@@ -720,25 +703,19 @@ function engine.note_mount(build, node)
 end
 
 do
-  -- Returns the value, or in place of a plain table a new one, to be filled later.
-  local function copy_of(copies, value, pending)
-    if type(value) ~= "table" or getmetatable(value) ~= nil then return value end
-    if not copies[value] then
-      copies[value], pending[#pending + 1] = {}, value
-    end
-    return copies[value]
-  end
-
   -- Copies nested plain tables. They wait in the list `pending`: any depth is allowed.
   local function clone_data(copies, value)
-    local pending = {}
-    local copy = copy_of(copies, value, pending)
-    while pending[1] do
-      local source = pending[#pending]
-      pending[#pending] = nil
-      for k, v in pairs(source) do -- any order: independent entries
-        copies[source][copy_of(copies, k, pending)] = copy_of(copies, v, pending)
-      end
+    local pending, i = {}, 1
+    local function copy_of(v)
+      if type(v) ~= "table" or getmetatable(v) ~= nil then return v end
+      if not copies[v] then copies[v], pending[#pending + 1] = {}, v end
+      return copies[v]
+    end
+    local copy = copy_of(value)
+    while pending[i] do
+      local source = pending[i]
+      for k, v in pairs(source) do copies[source][copy_of(k)] = copy_of(v) end -- a set
+      i = i + 1
     end
     return copy
   end
@@ -759,7 +736,7 @@ do
   --   _emit        the function given to `set_emit`
   --   _has_always  has a transition that needs no event: no iteration is usual
   --   _searched    the iteration whose search `note_cut` has ended last
-  local LATER_FIELDS = " _again _elements _emit _entrance _entry_hooks _event "
+  local LATER_FIELDS = " _again _elements _emit _entry_hooks _event "
     .. "_exit_hooks _failed _failure _fate_hooks _fates _given_to _got _guard_hooks "
     .. "_has_always _has_paths _owner _path_hooks _preparing _reaction_hooks "
     .. "_region_name _reset_hooks _reset_wanted _searched _snapshot_hooks "
@@ -908,7 +885,7 @@ do
   function engine.check_members(build, node, has_transition)
     if node._is_leaf and has_transition then
       add_warning(build.warnings, "misplaced", node, nil,
-        "a transition inside a leaf state%s", advise("plain_states", node._model))
+        "a transition inside a leaf state" .. advise("plain_states", node._model))
     elseif not node._is_leaf and node._mode and node.doo then
       add(build.problems, node, "doo", "only a leaf state can have a doo")
     end
@@ -917,8 +894,9 @@ do
   local function clone_node(build, node)
     local has_transition, own_kind = false, kind_of(node)
     for key, value in pairs(fields_of(node._model)) do -- any order: sorted later
-      local kind = type(value) == "table" and kind_of(value)
-      if is_foreign(value) then
+      local is_table = type(value) == "table"
+      local kind = is_table and kind_of(value)
+      if is_table and is_foreign(value) then
         add(build.problems, node, text_of(key), kind and FOREIGN_MACHINE or FOREIGN)
       elseif not kind then
         clone_field(build, own_kind, node, key, value)
@@ -1158,7 +1136,9 @@ do
       local otrs, events = tr.src._otrs, tr.events
       otrs[#otrs + 1] = tr
       if tr.always == true then -- its file is loaded here: a preproc may have set it
-        fsm._has_always, fsm._is_usual = rfsm.check_always ~= nil, false
+        local load = rfsm.check_always
+        if not engine.PHASES.always then load() end -- it says that the file is missing
+        fsm._has_always, fsm._is_usual = true, false
       end
       for j = 1, #events do
         if type(events[j]) == "function" then tr._is_asked = true end
@@ -1178,7 +1158,8 @@ do
 
   -- Drops the candidates and paths of a machine.
   function engine.drop_paths(fsm)
-    fsm._entrance, fsm._has_paths = false, false
+    -- the path of the first entry begins here; for a root without states it ends here
+    fsm._entrance, fsm._has_paths = { from = fsm, entered = fsm }, false
     for _, node in ipairs(fsm._nodes) do
       node._choices, node._paths, node._ignored, node._always = nil, nil, nil, nil
     end
@@ -1188,10 +1169,6 @@ do
   function engine.forget(fsm)
     fsm._merges, fsm._structure, fsm._segments = fsm._merges + 1, false, NONE
     engine.drop_paths(fsm)
-    for _, node in ipairs(fsm._nodes) do -- a path that is being taken reads the notes
-      local note = fsm._ways[node]
-      if note then note.otrs = node._otrs end
-    end
   end
 
   -- Returns an rfsm.Segment: a transition with the target that it has now.
@@ -1295,20 +1272,6 @@ local promises = setmetatable({}, { __mode = "k" })
 local machines = setmetatable({}, { __mode = "k" })
 
 Machine.__index = DEFAULTS
-
--- These fields of a machine are absent until a program sets them, so that `__newindex`
--- is called for the assignment.
-local STEP_HOOKS = { getevents = true, pre_step_hook = true, post_step_hook = true }
-
-function Machine.__newindex(fsm, key, value)
-  local is_hook = STEP_HOOKS[key]
-  if is_hook and not value then return end -- false would be a value
-  if is_hook and not rfsm.is_callable(value) then
-    error(key .. ": function expected, " .. got(value), 2)
-  end
-  rawset(fsm, key, value)
-  if is_hook or key == "read" then engine.list_again(fsm) end
-end
 
 -- Report: messages to the printers of a machine, and errors that are kept ----------
 
@@ -1508,10 +1471,13 @@ local PHASES, search = {}, nil
 -- Makes the current events pending again, ahead of the queue. The phase becomes idle
 -- first: then `PHASES.begin` finds the events in either list after an interrupt here.
 local function put_back(fsm)
+  local queue = append(append({}, fsm._curq), fsm._intq)
+  queue.rest_of = fsm._curq
   fsm._outcome = "refused"
   fsm._phase = "idle"
-  fsm._intq = append(append({}, fsm._curq), fsm._intq)
+  fsm._intq = queue
   fsm._curq = {}
+  queue.rest_of = nil
 end
 
 -- Ends an iteration early, because a pre step hook or getevents has failed. The current
@@ -1519,7 +1485,6 @@ end
 -- step hook has failed, the other hooks are called first.
 local function give_up(fsm, failure)
   if fsm._phase == "finish" then return keep_failure(fsm, failure) end
-  if fsm._phase ~= "gather" then fsm._curq = {} end
   put_back(fsm)
   error(failure, 0)
 end
@@ -1644,6 +1609,17 @@ do
   DEFAULTS._pre_hooks, DEFAULTS._post_hooks = { "pre_step_hook" }, { "post_step_hook" }
   promises.read = "repeatable"
 
+  -- Is called for an assignment to one of these fields while it is absent.
+  function Machine.__newindex(fsm, key, value)
+    local is_hook = FIELDS[key] and key ~= "read"
+    if is_hook and not value then return end -- false would be a value
+    if is_hook and not is_callable(value) then
+      error(key .. ": function expected, " .. got(value), 2)
+    end
+    rawset(fsm, key, value)
+    if FIELDS[key] then engine.list_again(fsm) end
+  end
+
   -- Calls the step hooks of a list from number `i` on. A hook that may be repeated is
   -- noted when it has returned, any other hook when it begins. This is no loop: LuaJIT
   -- would give up a host's loop around a loop that mostly turns once.
@@ -1684,8 +1660,8 @@ do
 
   -- Makes fields with false absent, so that `__newindex` is called when they are set.
   local function empty_slots(fsm)
-    for slot in pairs(STEP_HOOKS) do -- any order: independent entries
-      if not rawget(fsm, slot) then rawset(fsm, slot, nil) end
+    for _, slot in ipairs(HOOKS) do
+      if rawget(fsm, slot) == false then rawset(fsm, slot, nil) end
     end
   end
 
@@ -1709,8 +1685,6 @@ do
     fsm._is_hooked = not not (fsm._before or fsm._after)
     fsm._is_lent = fsm._is_lent or fsm._lends
   end
-
-  interpret(empty_slots)
 end
 
 -- Resets a machine as if it were new, but keeps the events of the current iteration.
@@ -1738,13 +1712,18 @@ function PHASES.begin(fsm, after_free)
     engine.reset_now(fsm)
   end
   local queue, spare = fsm._intq, fsm._curq
-  if rawequal(queue, spare) then
+  if rawequal(queue, spare) or queue.rest_of == spare then
     spare = {}
+  elseif spare.rest_of == queue then
+    queue, spare = spare, {}
   elseif spare[1] ~= nil then
-    queue, spare = append(append({}, spare), queue), {}
+    local all = append(append({}, spare), queue)
+    all.rest_of = queue
+    queue, spare = all, {}
   end
   fsm._curq = queue
   fsm._intq = spare
+  if queue.rest_of then queue.rest_of = nil end
   fsm._hook = 0
   fsm._phase = "gather"
   return PHASES.gather(fsm, after_free)
@@ -1810,7 +1789,7 @@ do
   -- false if none was found; `event` is the event that counts for it.
   function engine.note_of(fsm, connector)
     local note = fsm._ways[connector] or { search = 0, first = false, asked = false,
-      way = false, event = false, others = false, otrs = connector._otrs }
+      way = false, event = false, others = false, connector = connector }
     fsm._ways[connector] = note
     return note
   end
@@ -1841,7 +1820,7 @@ do
   -- a conflict. No loop, as in `run_hooks`. It and `enabled` have few variables: a path
   -- may go over thousands of connectors.
   local function find_way(fsm, note, way, i, events, first) -- luacheck: ignore 561
-    local tr = note.otrs[i]
+    local tr = note.connector._otrs[i]
     if not tr or way and (tr.pn or 0) ~= (way.tr.pn or 0) then
       if note.others then
         warn_of_conflict(fsm, note.others)
@@ -2021,13 +2000,6 @@ do
   end
 end
 
--- The path of the first entry begins here, and for a root without states ends here.
-function engine.entrance_of(fsm)
-  fsm._entrance = fsm._entrance
-    or { from = fsm, entered = fsm }
-  return fsm._entrance
-end
-
 -- Returns the innermost active state.
 local function innermost(fsm)
   local state = fsm
@@ -2064,20 +2036,9 @@ do
       found, event = first_enabled(fsm, rawget(fsm, "initial")._otrs, 1, events)
       if not found then return nil end
     end
-    local path = path_of(fsm, engine.entrance_of(fsm), found, fsm._ways)
+    local path = path_of(fsm, fsm._entrance, found, fsm._ways)
     warn_of_lost_events(fsm, path, events)
     return path, event
-  end
-
-  -- Reports that no path leads into the machine, and makes the events pending again.
-  local function refuse_entry(fsm, events)
-    report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
-      .. "events: " .. list_text(events))
-    put_back(fsm)
-    if fsm._reset_wanted then engine.reset_now(fsm) end
-    fsm._is_usual = not fsm._has_always
-    engine.raise_failure(fsm)
-    return nil
   end
 
   -- Takes a path. `leaf` is the active leaf, or nil at the first entry; `event` is the
@@ -2121,8 +2082,13 @@ do
       return follow(fsm, after_free, leaf, choose(fsm, leaf, events, choice, event))
     end
     local path, first = find_entry(fsm, events)
-    if not path then return refuse_entry(fsm, events) end
-    return take_path(fsm, nil, path, first)
+    if path then return take_path(fsm, nil, path, first) end
+    report(fsm, "err", "ERROR: cannot enter: no enabled path from 'root.initial' on "
+      .. "events: " .. list_text(events))
+    put_back(fsm)
+    if fsm._reset_wanted then engine.reset_now(fsm) end
+    fsm._is_usual = not fsm._has_always
+    engine.raise_failure(fsm)
   end
 end
 
@@ -2243,16 +2209,15 @@ function engine.is_made(event)
   return false
 end
 
--- May one of some candidates take an event that the machine has made? A predicate of
--- `rfsm.named` accepts only a table, such as a fault.
+-- May one of some candidates take an event that the machine has made? Predicates of a
+-- program are not called.
 local function may_be_taken(candidates, event)
-  local name = name_with_data(event)
   for i = 1, #candidates do
     local tr = candidates[i]
     if not tr._is_asked then return true end -- it names the event, or needs no name
     for _, other in ipairs(tr.events) do
-      local named = rfsm.event_name(other)
-      local may_accept = type(other) == "function" and (not named or named == name)
+      local may_accept = type(other) == "function"
+        and (not rfsm.event_name(other) or other(event))
       if may_accept or rawequal(other, event) then return true end
     end
   end
@@ -2391,8 +2356,7 @@ do
 
   -- Adds the entries of the states from below the lca to the target.
   local function add_entries(fsm, list, segment)
-    local tgt = segment.tgt
-    local line = line_to(tgt._mode and tgt or tgt._parent)
+    local line = line_to(segment.connector and segment.tgt._parent or segment.tgt)
     for i = segment.lca._depth + 2, #line do add_entry(fsm, list, line[i]) end
   end
 
@@ -2407,29 +2371,20 @@ do
     return shapes[shape]
   end
 
-  -- Does a segment behind a connector name events, so that another event counts for it?
-  local function has_inner_events(segments)
-    for i = 2, #segments do
-      if segments[i].tr.events[1] ~= nil then return true end
-    end
-    return false
-  end
-
   -- Lists for each segment (a) the exits of the states below the lca, (b) the effect,
   -- (c) the entries of the states from below the lca to the target.
   local function list_actions(fsm, path)
     local from, list = path.from, { actions = {}, path = path }
-    local segments = engine.segments_of(path)
-    local has_events = has_inner_events(segments)
+    local segments, has_events = engine.segments_of(path), false
     for _, hook in ipairs(fsm._path_hooks or NONE) do
       add_action(list, actions.path_hook, { hook = hook, path = path })
     end
     if path.entered then add_entry(fsm, list, path.entered) end
     if segments[1] then add_action(list, recorders.path, path) end
     for i, segment in ipairs(segments) do
-      if i > 1 and has_events then
-        add_action(list, actions.go_through, segment.tr.src)
-      end
+      -- behind a connector another event may count
+      has_events = has_events or i > 1 and segment.tr.events[1] ~= nil
+      if has_events then add_action(list, actions.go_through, segment.tr.src) end
       if not segment.is_internal then add_exits(fsm, list, segment, from) end
       add_action(list, recorders.effect, segment)
       add_action(list, actions.effect, segment)
@@ -2506,10 +2461,7 @@ local function load_fast()
   fast.is_loaded = true
   local ok, make = pcall(find_module, "rfsm.fast")
   if ok and loadstring then
-    ok, make = pcall(make, fast, { loadstring = loadstring, silent = silent,
-      promises = promises, actions = actions, perform = perform,
-      failed = report_callback, is_node_of = is_node_of, segment_of = engine.segment_of,
-      path_of = path_of, recorders = recorders, segments_of = engine.segments_of })
+    ok, make = pcall(make, engine)
   end
   if not ok and rfsm.is_interrupt(make) then
     fast.is_loaded = false
@@ -2548,12 +2500,11 @@ do
   function rfsm.end_doo(fsm, leaf)
     local co = leaf._doo_co
     if leaf._mode ~= "done" then engine.complete(fsm, leaf) end
+    if not co then return end
     if fsm._at < 4 then
       fsm._at = 4
-      if co then engine.tell_watch(fsm, "ended", leaf) end
-      if co then
-        trace(fsm, "DOO", "removing completed coroutine of %s doo", leaf._fqn)
-      end
+      engine.tell_watch(fsm, "ended", leaf)
+      trace(fsm, "DOO", "removing completed coroutine of %s doo", leaf._fqn)
     end
     leaf._doo_co = nil
   end
@@ -2566,17 +2517,6 @@ do
     return leaf._doo_co
   end
 
-  -- Resumes a doo that may be repeated. After an interrupt the next cycle begins it
-  -- anew.
-  local function resume_repeatable(fsm, leaf, co)
-    local ok, idle = resume(co, fsm, leaf, "doo")
-    if not ok then
-      leaf._doo_co = nil
-      keep_failure(fsm, idle)
-    end
-    return ok and idle and true or false
-  end
-
   -- Runs one cycle of the active leaf's doo. Returns true if the doo is idle or done; a
   -- leaf without doo is done at once, one whose doo fails, too, but without e_done.
   -- `_at` is 1 when the doo is resumed, 2 and 3 while events are queued at its end, 4
@@ -2584,9 +2524,8 @@ do
   function run_doo(fsm, leaf)
     local co, ok, idle = leaf._doo_co, true, false
     if not co then
-      local doo, is_done = leaf.doo, leaf._mode == "done"
-      if is_done and fsm._at < 1 then return true end
-      if is_done or not doo then
+      local doo = leaf.doo
+      if leaf._mode == "done" or not doo then
         rfsm.end_doo(fsm, leaf)
         return true
       end
@@ -2595,14 +2534,20 @@ do
     if fsm._at < 1 then
       fsm._at = 1
       if fsm._watch_hooks then engine.tell_watch(fsm, "resumed", leaf) end
-      if leaf._is_resumed_again then
-        return resume_repeatable(fsm, leaf, co)
-      end
-      ok, idle = resume(co, fsm, leaf, "doo")
-      if not ok then
-        leaf._mode = "done"
-        fsm._at = 4
-        report_callback(fsm, "doo", leaf, nil, idle)
+      if leaf._is_resumed_again then -- the next cycle begins one anew that has failed
+        ok, idle = resume(co, fsm, leaf, "doo")
+        if not ok then
+          leaf._doo_co = nil
+          keep_failure(fsm, idle)
+          return false
+        end
+      else
+        ok, idle = resume(co, fsm, leaf, "doo")
+        if not ok then
+          leaf._mode = "done"
+          fsm._at = 4
+          report_callback(fsm, "doo", leaf, nil, idle)
+        end
       end
     end
     if ok and status(co) ~= "dead" then return not not idle end
@@ -2780,15 +2725,6 @@ do
     return idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
   end
 
-  -- Returns the function of the path that a search has found. Returns nil if it is not
-  -- compiled, or if the iteration is no longer a usual one because of a guard.
-  local function found_run(fsm, leaf, segment)
-    if not fsm._is_usual or fsm.dbg ~= silent or fsm._act_leaf ~= leaf then
-      return nil
-    end
-    return path_of(fsm, leaf, segment, fsm._ways).run
-  end
-
   -- Makes one iteration, and another one if it does not count as a step; `after_free`
   -- is true for that. Returns whether the machine is idle, nil if it cannot be entered.
   -- The two lists of events are swapped. If an interrupt cuts the swap short,
@@ -2818,7 +2754,10 @@ do
       if not is_taken and choice[1] then
         fsm._phase = "search"
         local found, own = choose(fsm, leaf, events, choice, event)
-        run = found and found_run(fsm, leaf, found)
+        run = nil -- a guard may have moved the machine, or switched dbg on
+        if found and fsm._is_usual and fsm._act_leaf == leaf and fsm.dbg == silent then
+          run = path_of(fsm, leaf, found, fsm._ways).run
+        end
         if not run then return follow(fsm, after_free, leaf, found, own) end
         is_taken = run(fsm, own, true)
       end
@@ -2953,39 +2892,28 @@ do
     end
   end
 
-  local function check_root(build, fsm)
-    local model = fsm._model
-    for _, name in ipairs(HOOKS) do check_callable(build, fsm, name, model[name]) end
-    for _, name in ipairs(PRINTERS) do
-      local printer = model[name] ~= true and model[name]
-      check_callable(build, fsm, name, printer, ", true or false")
-    end
-    if not (fsm._is_leaf or is_node(rawget(fsm, "initial"))) then
-      add(build.problems, fsm, nil, words("the root needs an initial"))
-    end
-  end
-
-  -- Sets the printers and step hooks. A printer that cannot be called is replaced by a
-  -- default.
-  local function set_hooks(fsm)
-    for _, name in ipairs(PRINTERS) do
-      local printer = printer_of(fsm, name)
-      rawset(fsm, name, is_callable(printer) and printer or DEFAULT_PRINTER[name])
-    end
-    engine.list_hooks(fsm)
-  end
-
-  -- Clones and resolves a model, without a call of its functions. Returns the build.
+  -- Clones and resolves a model, without a call of its functions. Returns the build. A
+  -- printer that cannot be called is replaced by a default.
   function engine.build_machine(model)
     local fsm = setmetatable(own_fields(), Machine)
     local build = engine.new_build(fsm)
     fsm._model, fsm._parent, fsm._nodes = model, fsm, { fsm }
+    fsm._entrance = { from = fsm, entered = fsm }
     engine.note_mount(build, fsm)
     engine.clone_below(build, 1)
     engine.resolve(build, 1)
     engine.check_ways_in(build)
-    check_root(build, fsm)
-    set_hooks(fsm)
+    for _, name in ipairs(HOOKS) do check_callable(build, fsm, name, model[name]) end
+    for _, name in ipairs(PRINTERS) do
+      local printer = model[name] ~= true and model[name]
+      check_callable(build, fsm, name, printer, ", true or false")
+      printer = printer_of(fsm, name)
+      rawset(fsm, name, is_callable(printer) and printer or DEFAULT_PRINTER[name])
+    end
+    if not (fsm._is_leaf or is_node(rawget(fsm, "initial"))) then
+      add(build.problems, fsm, nil, words("the root needs an initial"))
+    end
+    engine.list_hooks(fsm)
     return build
   end
 end
@@ -3034,23 +2962,16 @@ do
     return left
   end
 
-  -- Does a composite that contains the state have an outgoing transition?
-  local function is_left_around(state)
-    local around = state._parent
-    while around ~= around._parent and not around._otrs[1] do
-      around = around._parent
-    end
-    return state._mode ~= nil and around._otrs[1] ~= nil
-  end
-
   -- Warns of the nodes, from number `first` on, that no transition leaves. Returns true
   -- if there are none.
   function engine.report_dead_ends(fsm, first)
     local nodes, dead, left = fsm._nodes, {}, nil
     for i = first, #nodes do
-      local node = nodes[i]
-      if not (node._otrs[1] or node._model.final or node == fsm
-        or is_left_around(node)) then
+      local node, around = nodes[i], nodes[i]
+      while around._mode and around ~= fsm and not around._otrs[1] do
+        around = around._parent
+      end
+      if not (around._otrs[1] or node._model.final or node == fsm) then
         left = left or left_composites(fsm)
         local line = "no outgoing transitions from node '" .. node._fqn .. "'"
         dead[#dead + 1] = not left[node] and { line = line, code = false } or nil
@@ -3104,10 +3025,19 @@ rfsm.preproc = {}
 rfsm.makers = {}
 
 do
+  local function has_nan(events)
+    for _, event in ipairs(type(events) == "table" and events or NONE) do
+      if event ~= event then return true end
+    end
+    return false
+  end
+
   -- Returns the name of a field with a wrong value from a preproc function; else false.
   local function wrong_field(fsm, tr)
     local events, pn = tr.events or NONE, tr.pn or 0
-    if type(events) ~= "table" and type(events) ~= "string" then return "events" end
+    if has_nan(events) or type(events) ~= "table" and type(events) ~= "string" then
+      return "events"
+    end
     if type(pn) ~= "number" or pn ~= pn then return "pn" end
     if not is_node_of(fsm, tr.src) then return "src" end
     return not is_node_of(fsm, tr.tgt) and "tgt"
@@ -3133,7 +3063,7 @@ do
   local function check_transitions(fsm, is_changed, problems)
     for _, tr in ipairs(fsm._transitions) do
       if is_changed then problems[#problems + 1] = check_transition(fsm, tr) end
-      tr._target = tr.tgt
+      tr._target = tr._target or tr.tgt
     end
     if is_changed and not problems[1] then engine.list_otrs(fsm) end
   end
@@ -3166,9 +3096,7 @@ function rfsm.is_strict(root)
   return getenv and getenv("RFSM_STRICT") == "1" or false
 end
 
-local function refuse_model(model, fsm, problems)
-  local err = printer_of(model, "err")
-  fsm = fsm or { err = is_callable(err) and err or DEFAULT_PRINTER.err }
+local function refuse_model(fsm, problems)
   local text = engine.summary("rfsm.init", problems)
   report(fsm, "err", text)
   engine.raise_failure(fsm)
@@ -3193,11 +3121,11 @@ function rfsm.init(model)
   end
   model = model_of(model)
   if is_foreign(model) then
-    return refuse_model(model, nil, { "root: " .. FOREIGN_MACHINE })
+    return refuse_model({ err = model.err }, { "root: " .. FOREIGN_MACHINE })
   end
   local build = engine.build_machine(model)
   local fsm, problems = build.fsm, (engine.lines_of(build.problems))
-  if problems[1] then return refuse_model(model, nil, problems) end
+  if problems[1] then return refuse_model(fsm, problems) end
   load_fast()
   if rfsm.is_strict(model) then find_module("rfsm.strict") end
   fsm._initialized = true
@@ -3206,7 +3134,7 @@ function rfsm.init(model)
   problems = engine.preprocess(fsm)
   if problems[1] then
     fsm._initialized = false
-    return refuse_model(model, fsm, problems)
+    return refuse_model(fsm, problems)
   end
   if fsm.warn ~= silent then engine.report_findings(build, 1, 1) end
   machines[fsm] = true
@@ -3464,53 +3392,35 @@ end
 -- disturbed. rfsm/shared/types.lua describes the functions and their arguments.
 
 do
-  local function is_state_of(fsm, state) return is_node_of(fsm, state, "state") end
-
-  local function is_trans_of(fsm, tr) return rfsm.is_trans(tr) and tr._fsm == fsm end
-
   local WATCHED = { sent = true, failed = true, resumed = true, ended = true,
     merged = true, discarded = true, failed_inside = true }
 
-  local function is_watched(_, what) return WATCHED[what] end
+  local OF_STATE = { is_path = true, expected = "state of the fsm",
+    is_subject = function(fsm, state) return is_node_of(fsm, state, "state") end }
 
   -- The kinds of hooks, rfsm.HookKind by name: rfsm.<kind>_hook_add and _rm.
   local KINDS_OF_HOOKS = {
     pre_step = { list = "_pre_hooks", own = "pre_step_hook", is_step = true },
     post_step = { list = "_post_hooks", own = "post_step_hook", is_step = true },
-    source = { list = "_source_hooks", is_step = true },
-    path = { list = "_path_hooks", is_path = true },
-    entry = { list = "_entry_hooks", is_path = true, is_subject = is_state_of,
-      expected = "state of the fsm" },
-    exit = { list = "_exit_hooks", is_path = true, is_subject = is_state_of,
-      expected = "state of the fsm" },
-    guard = { list = "_guard_hooks", is_path = true, is_subject = is_trans_of,
-      expected = "transition of the fsm" },
-    watch = { list = "_watch_hooks", is_subject = is_watched,
+    source = { is_step = true }, path = { is_path = true }, entry = OF_STATE,
+    exit = OF_STATE, reset = {}, reaction = {}, waiting = {}, fate = {},
+    guard = { is_path = true, expected = "transition of the fsm",
+      is_subject = function(fsm, tr) return rfsm.is_trans(tr) and tr._fsm == fsm end },
+    watch = { is_subject = function(_, what) return WATCHED[what] end,
       expected = "'sent', 'failed', 'failed_inside', 'resumed', 'ended', 'merged' or "
         .. "'discarded'" },
-    reset = { list = "_reset_hooks" }, reaction = { list = "_reaction_hooks" },
-    waiting = { list = "_waiting_hooks" }, fate = { list = "_fate_hooks" },
   }
 
   -- Hooks placed in "front" record events. They are called before hooks placed
   -- "before", which may remove events. A list has the number of the former in `front`.
   local PLACES = { front = true, before = true, after = true }
 
-  -- Lists of one hook, which many states may have: hook -> list.
-  local singles = setmetatable({}, { __mode = "kv" })
-
   local function put_in(owner, field, hook, place)
-    if not (owner[field] or place == "front") then
-      local single = singles[hook] or { hook }
-      singles[hook], owner[field] = single, single
-      return
-    end
     local old = owner[field] or NONE
     local hooks, front = append({}, old), old.front or 0
     local before = place == "before" and front + 1 or #hooks + 1
     insert(hooks, place == "front" and 1 or before, hook)
-    if place == "front" then front = front + 1 end
-    if front > 0 then hooks.front = front end
+    hooks.front = place == "front" and front + 1 or old.front
     owner[field] = hooks
   end
 
@@ -3535,8 +3445,9 @@ do
     if kind.is_path and fsm._has_paths then engine.drop_paths(fsm) end
   end
 
-  local function define_hooks(name, kind)
-    local where, field = "rfsm." .. name .. "_hook_add", kind.list
+  for name, kind in pairs(KINDS_OF_HOOKS) do -- any order: independent entries
+    local where = "rfsm." .. name .. "_hook_add"
+    local field = kind.list or "_" .. name .. "_hooks"
 
     rfsm[name .. "_hook_add"] = function(fsm, subject, hook)
       local place = nil
@@ -3565,7 +3476,7 @@ do
       else
         hook = subject
       end
-      local is_removed = take_out(owner, key, hook)
+      local is_removed = is_callable(hook) and take_out(owner, key, hook)
       if is_removed then note_change(fsm, kind) end
       if is_removed and fsm._fates then rfsm.leave_fates(fsm) end
       if is_removed or not kind.own or hook == nil then return is_removed end
@@ -3573,10 +3484,6 @@ do
       if is_removed then fsm[kind.own] = nil end
       return is_removed
     end
-  end
-
-  for name, kind in pairs(KINDS_OF_HOOKS) do -- any order: independent entries
-    define_hooks(name, kind)
   end
 end
 
@@ -3730,36 +3637,31 @@ do
   engine.is_node_of, engine.line_to, engine.path_of = is_node_of, line_to, path_of
   engine.iterate, engine.matches, engine.PHASES = iterate, matches, PHASES
   engine.silent, engine.tell, engine.fast = silent, tell, fast
-
-  -- Returns the function of a name whose file is missing: it says so.
-  local function missing(name, module)
-    return function()
-      error(("rfsm.%s: %s.lua is not installed beside rfsm.lua"):format(name,
-        module:gsub("%.", "/")), 2)
-    end
-  end
+  engine.actions, engine.recorders, engine.perform = actions, recorders, perform
+  engine.failed, engine.promises, engine.loadstring =
+    report_callback, promises, loadstring
 
   -- Loads the file with the function of a name. Files named rfsm.<part> return a
   -- function that adds theirs to this table. Any other is a module of the user's.
-  local function load_part(name)
+  local function load_part(_, name)
     local module = PARTS[name]
+    if not module then return nil end
     local part = find_module(module)
     if part and module:find("^rfsm%.") then part(rfsm, engine) end
-    if not part and module ~= "rfsmpp" then part = missing(name, module) end
-    rfsm[name] = rawget(rfsm, name) or part
+    rfsm[name] = rawget(rfsm, name) or part or module ~= "rfsmpp" and function()
+      error(("rfsm.%s: %s.lua is not installed beside rfsm.lua"):format(name,
+        module:gsub("%.", "/")), 2)
+    end or nil
     return rawget(rfsm, name)
   end
 
-  setmetatable(rfsm, { __index = function(_, name)
-    return PARTS[name] and load_part(name)
-  end })
+  setmetatable(rfsm, { __index = load_part })
 end
 
 do
   -- Loaded as "libs.rfsm" this file has the prefix "libs."; by `dofile`, a folder only.
   local prefix = tostring((...)):match("^(.+[./])rfsm$")
-  local source = (find_global("debug", "getinfo") or tostring)(1, "S")
-  local folder = type(source) == "table" and source.source:match("^@(.-)[^/\\]*$")
+  local folder = this_chunk and this_chunk.source:match("^@(.-)[^/\\]*$")
   local searchers
 
   -- Finds a module beside this file. The other searchers may look into archives.
@@ -3801,12 +3703,8 @@ do
     if package.loaded and not package.loaded.rfsm then package.loaded.rfsm = rfsm end
   end
 
-  local function set_global()
-    if not rawget(_G, "RFSM_NO_GLOBALS") then pcall(rawset, _G, "rfsm", rfsm) end
-  end
-
   register(rawget(_G, "package") or NONE)
-  set_global()
+  if not rawget(_G, "RFSM_NO_GLOBALS") then pcall(rawset, _G, "rfsm", rfsm) end
 end
 
 return rfsm

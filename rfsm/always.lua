@@ -80,6 +80,8 @@ return function(rfsm, engine)
     local problem = tr.events[1] ~= nil and "a transition that needs no event has no "
       .. "events (leave out one of the two fields)" or not tr.src._mode and "only a "
       .. "transition from a state needs no event, '%s' is a connector"
-    if problem then engine.add(build.problems, tr, "always", problem, tr.src._fqn) end
+    if problem then
+      engine.add(build.problems, tr, "always", problem:format(tr.src._fqn))
+    end
   end
 end

@@ -50,7 +50,7 @@ return function(core, engine)
   engine.interpret(prepare_leaf)
 
   local function prepare_machine(fsm)
-    prepare_list(fsm, engine.entrance_of(fsm),
+    prepare_list(fsm, fsm._entrance,
       fsm._is_leaf and NONE or fsm.initial._otrs)
     for _, node in ipairs(fsm._nodes) do
       if not node._mode then engine.note_of(fsm, node) end

@@ -399,6 +399,8 @@ describe("an extension may ask", function()
     fsm[2].tgt = fsm.a
     for i = 1, 4 do names[i] = rfsm.target_of(fsm[i]) end
     assert.same({ "root.a", "root.b.initial", "internal", "root.b.c" }, names)
+    assert.is_true(rfsm.fsm_merge(fsm, fsm, state {}, "new"))
+    assert.equal("root.b.initial", rfsm.target_of(fsm[2]))
   end)
 
   it("for the hooks that keep something, in order", function()

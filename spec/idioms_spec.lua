@@ -277,6 +277,7 @@ describe("a preproc function", function()
 
   local WRONG = {
     { field = "events", value = 5, text = "got number 5" },
+    { field = "events", value = { 0 / 0 }, text = "got table" },
     { field = "pn", value = "high", text = "got string 'high'" },
     { field = "pn", value = 0 / 0, text = "got number" },
     { field = "src", value = "a", text = "got string 'a'" },

@@ -347,6 +347,46 @@ describe("an interrupt", function()
     return fsm
   end
 
+  it("takes no event twice where a hook fails, or events are sent between", function()
+    local function new()
+      local world, model = { most = 0 }, { read = "one", info = false, warn = false }
+      model.a, model[1] = rfsm.state {}, rfsm.trans { src = "initial", tgt = "a" }
+      model[2] = rfsm.trans { src = "a", tgt = "a", events = { "e_x", "e_y", "e_z" },
+        effect = function(_, _, _, _, event)
+          world[event] = (world[event] or 0) + 1
+          world.most = math.max(world.most, world[event])
+        end }
+      world.fsm = assert(rfsm.init(rfsm.state(model)))
+      rfsm.run(world.fsm)
+      rfsm.send_events(world.fsm, "e_x", "e_y")
+      return world
+    end
+    local function fail_once(world)
+      world.fsm.pre_step_hook = function()
+        if world.has_failed then return end
+        world.has_failed = true
+        error("on purpose", 0)
+      end
+      pcall(rfsm.step, world.fsm)
+      rfsm.send_events(world.fsm, "e_z")
+    end
+    local function see(world)
+      advance(world.fsm)
+      return world.most > 1 and "twice" or "once"
+    end
+    for at = 4, 24, 4 do -- the first interrupt, which comes before others are tried
+      local function cut_before()
+        local world = new()
+        interrupts.raise_anywhere(at, interrupts.VALUES[1], rfsm.step, world.fsm)
+        rfsm.send_events(world.fsm, "e_z")
+        return world
+      end
+      local function step(world) rfsm.step(world.fsm) end
+      assert.same({ "once" }, outcomes(cut_before, step, see))
+    end
+    assert.same({ "once" }, outcomes(new, fail_once, see))
+  end)
+
   -- initial --> a --e--> b, which is done, or when c in it is; e_done is counted.
   local function done_in(fields)
     local world = { count = 0 }

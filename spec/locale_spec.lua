@@ -44,10 +44,11 @@ rfsm.run(fsm)
 
 local CASES = {
   { "numbers", [[
-    for _, n in ipairs { 0.5, -0.125, 1e300, 1e-7, 3, 2^53, -1/0 } do
+    for _, n in ipairs { 0.5, -0.125, 1e300, 1e-7, 3, 2^53, -1/0, 0/0 } do
       print(rfsm.text_of(n), rfsm.number_text(n), rfsm.number_text(n, "%.2f"))
     end
-    for _, text in ipairs { "0.5", "-1.5e-3", " 2 ", "0,5", "1.5x", "", ".", "7" } do
+    for _, text in ipairs { "0.5", "-1.5e-3", " 2 ", "0,5", "1.5x", "", ".", "7", "nan",
+      "inf", "0b101", "0x1b" } do
       local n = rfsm.number_of(text)
       print(text, n and rfsm.number_text(n))
     end
