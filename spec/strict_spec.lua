@@ -266,6 +266,20 @@ it("a strict machine runs random charts as one that is not, with odd fields", fu
   assert.is_nil(share.problem(claim, 30, true))
 end)
 
+it("a strict machine names what it makes only for an event as that", function()
+  local warnings = {}
+  local fsm = assert(rfsm.init(state { strict = true, info = false, a = state {},
+    warn = function(text) warnings[#warnings + 1] = text:match("%(.*%)$") end,
+    b = state {}, trans { src = "initial", tgt = "a" },
+    trans { src = "a", tgt = "b", events = { "e_done@root.a" } },
+    trans { src = "b", tgt = "a", events = { "e_go" } } }))
+  rfsm.run(fsm)
+  rfsm.send_events(fsm, "e_goo", "e_done")
+  rfsm.run(fsm)
+  assert.same({ "(did you mean 'e_go'?)", "(the machine makes e_done@root.a)" },
+    warnings)
+end)
+
 describe("a strict machine whose callbacks send to each other", function()
   local run = rfsm.run -- `run` before a strict machine replaces it
   local HEAD = "WARNING: rfsm.run has made 10000 iterations and goes on, in "
