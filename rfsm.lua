@@ -55,26 +55,24 @@ local Machine = { rfsm = "state", __eq = rawequal, rfsm_copy = rfsm }
 
 local KINDS = {} -- metatable of an element of this library -> kind of the element
 
-do
-  local function ask_type(value) return value:type() end
+local function ask_type(value) return value:type() end
 
-  --- Return the kind of a model element, or nil for any other value, for extensions.
-  --
-  -- A table of another library is an element, too, if its metatable has a true field
-  -- `rfsm` and its method `type` returns a kind.
-  --
-  ---@param value any
-  ---@return "state"|"transition"|"connector"|nil kind
-  function rfsm.kind_of(value)
-    local class = getmetatable(value)
-    local known = class ~= nil and KINDS[class]
-    if known then return known end
-    local mark = type(class) == "table" and rawget(class, "rfsm")
-    if not mark or CLASSES[mark] then return mark or nil end
-    local ok, kind = pcall(ask_type, value)
-    if not ok and rfsm.is_interrupt(kind) then error(kind, 0) end
-    return ok and CLASSES[kind] and kind or nil
-  end
+--- Return the kind of a model element, or nil for any other value, for extensions.
+--
+-- A table of another library is an element, too, if its metatable has a true field
+-- `rfsm` and its method `type` returns a kind.
+--
+---@param value any
+---@return "state"|"transition"|"connector"|nil kind
+function rfsm.kind_of(value)
+  local class = getmetatable(value)
+  local known = class ~= nil and KINDS[class]
+  if known then return known end
+  local mark = type(class) == "table" and rawget(class, "rfsm")
+  if not mark or CLASSES[mark] then return mark or nil end
+  local ok, kind = pcall(ask_type, value)
+  if not ok and rfsm.is_interrupt(kind) then error(kind, 0) end
+  return ok and CLASSES[kind] and kind or nil
 end
 
 local kind_of = rfsm.kind_of
@@ -421,32 +419,30 @@ local sorted_keys = rfsm.sorted_keys
 interpret(sorted_keys)
 interpret(has_nodes)
 
-do
-  -- Has a composite a leaf right in it that is final?
-  local function has_final(composite)
-    return rfsm.mapfsm(function(leaf)
-      return leaf ~= composite and rawequal(leaf.final, true) or nil
-    end, composite, rfsm.is_leaf, 1)[1] or false
-  end
+-- Has a composite a leaf right in it that is final?
+local function has_final(composite)
+  return rfsm.mapfsm(function(leaf)
+    return leaf ~= composite and rawequal(leaf.final, true) or nil
+  end, composite, rfsm.is_leaf, 1)[1] or false
+end
 
-  --- Can a state of a machine be done, so that its e_done comes? For extensions.
-  --
-  -- A leaf can. A composite needs a leaf right in it with `final = true`; a state with
-  -- regions needs such a leaf in the root of each region.
-  --
-  ---@param node rfsm.State|rfsm.Connector
-  ---@return boolean
-  ---@return any region the name of a region without such a leaf
-  ---@package
-  function rfsm.can_be_done(node)
-    if not is_state(node) then return false end
-    if not node._is_leaf then return has_final(node) end
-    local regions, own = rfsm.regions(node)
-    for i, region in ipairs(regions) do
-      if not has_final(region) then return false, own.names[i] end
-    end
-    return true
+--- Can a state of a machine be done, so that its e_done comes? For extensions.
+--
+-- A leaf can. A composite needs a leaf right in it with `final = true`; a state with
+-- regions needs such a leaf in the root of each region.
+--
+---@param node rfsm.State|rfsm.Connector
+---@return boolean
+---@return any region the name of a region without such a leaf
+---@package
+function rfsm.can_be_done(node)
+  if not is_state(node) then return false end
+  if not node._is_leaf then return has_final(node) end
+  local regions, own = rfsm.regions(node)
+  for i, region in ipairs(regions) do
+    if not has_final(region) then return false, own.names[i] end
   end
+  return true
 end
 
 local NONE = {}
@@ -1114,93 +1110,89 @@ end
 -- and paths are made when they are first needed, so that unused parts take neither time
 -- nor memory. No callback is kept in them: each is read when it is called.
 
-local done_event
+-- Is transition `a` of a node tried before `b`? Larger pn first; then the transition
+-- whose parent is less deep; then by FQN of the parent; then by position or name.
+local function tried_before(a, b)
+  local a_pn, b_pn, a_at, b_at = a.pn or 0, b.pn or 0, a._parent, b._parent
+  if a_pn ~= b_pn then return a_pn > b_pn end
+  if a_at._depth ~= b_at._depth then return a_at._depth < b_at._depth end
+  if a_at ~= b_at then return text_before(a_at._fqn, b_at._fqn) end
+  return key_before(a._id, b._id)
+end
 
-do
-  -- Is transition `a` of a node tried before `b`? Larger pn first; then the transition
-  -- whose parent is less deep; then by FQN of the parent; then by position or name.
-  local function tried_before(a, b)
-    local a_pn, b_pn, a_at, b_at = a.pn or 0, b.pn or 0, a._parent, b._parent
-    if a_pn ~= b_pn then return a_pn > b_pn end
-    if a_at._depth ~= b_at._depth then return a_at._depth < b_at._depth end
-    if a_at ~= b_at then return text_before(a_at._fqn, b_at._fqn) end
-    return key_before(a._id, b._id)
-  end
-
-  -- Gives each node the list of its outgoing transitions, in search order.
-  function engine.list_otrs(fsm)
-    local nodes, transitions = fsm._nodes, fsm._transitions
-    for i = 1, #nodes do nodes[i]._otrs = {} end
-    for i = 1, #transitions do
-      local tr = transitions[i]
-      local otrs, events = tr.src._otrs, tr.events
-      otrs[#otrs + 1] = tr
-      if tr.always == true then -- its file is loaded here: a preproc may have set it
-        local load = rfsm.check_always
-        if not engine.PHASES.always then load() end -- it says that the file is missing
-        fsm._has_always, fsm._is_usual = true, false
-      end
-      for j = 1, #events do
-        if type(events[j]) == "function" then tr._is_asked = true end
-      end
+-- Gives each node the list of its outgoing transitions, in search order.
+function engine.list_otrs(fsm)
+  local nodes, transitions = fsm._nodes, fsm._transitions
+  for i = 1, #nodes do nodes[i]._otrs = {} end
+  for i = 1, #transitions do
+    local tr = transitions[i]
+    local otrs, events = tr.src._otrs, tr.events
+    otrs[#otrs + 1] = tr
+    if tr.always == true then -- its file is loaded here: a preproc may have set it
+      local load = rfsm.check_always
+      if not engine.PHASES.always then load() end -- it says that the file is missing
+      fsm._has_always, fsm._is_usual = true, false
     end
-    for i = 1, #nodes do
-      if nodes[i]._otrs[2] then sort(nodes[i]._otrs, tried_before) end
+    for j = 1, #events do
+      if type(events[j]) == "function" then tr._is_asked = true end
     end
   end
-
-  -- Returns the event that tells that a leaf is done. It is made when it is needed
-  -- first.
-  function done_event(leaf)
-    leaf._done_event = leaf._done_event or "e_done@" .. leaf._fqn
-    return leaf._done_event
+  for i = 1, #nodes do
+    if nodes[i]._otrs[2] then sort(nodes[i]._otrs, tried_before) end
   end
+end
 
-  -- Drops the candidates and paths of a machine.
-  function engine.drop_paths(fsm)
-    -- the path of the first entry begins here; for a root without states it ends here
-    fsm._entrance, fsm._has_paths = { from = fsm, entered = fsm }, false
-    for _, node in ipairs(fsm._nodes) do
-      node._choices, node._paths, node._ignored, node._always = nil, nil, nil, nil
-    end
-  end
+-- Returns the event that tells that a leaf is done. It is made when it is needed
+-- first.
+local function done_event(leaf)
+  leaf._done_event = leaf._done_event or "e_done@" .. leaf._fqn
+  return leaf._done_event
+end
 
-  -- Drops all that was made of the structure while the machine ran.
-  function engine.forget(fsm)
-    fsm._merges, fsm._structure, fsm._segments = fsm._merges + 1, false, NONE
-    engine.drop_paths(fsm)
+-- Drops the candidates and paths of a machine.
+function engine.drop_paths(fsm)
+  -- the path of the first entry begins here; for a root without states it ends here
+  fsm._entrance, fsm._has_paths = { from = fsm, entered = fsm }, false
+  for _, node in ipairs(fsm._nodes) do
+    node._choices, node._paths, node._ignored, node._always = nil, nil, nil, nil
   end
+end
 
-  -- Returns an rfsm.Segment: a transition with the target that it has now.
-  local function new_segment(tr, tgt)
-    local is_internal = tr._is_internal and tr.src == tgt
-    local lca = is_internal and tgt or engine.find_lca(tr.src._parent, tgt._parent)
-    local segment = { tr = tr, tgt = tgt, lca = lca }
-    if is_internal then segment.is_internal = true end -- absent: less memory
-    if not tgt._mode then segment.connector = tgt end
-    return segment
-  end
+-- Drops all that was made of the structure while the machine ran.
+function engine.forget(fsm)
+  fsm._merges, fsm._structure, fsm._segments = fsm._merges + 1, false, NONE
+  engine.drop_paths(fsm)
+end
 
-  -- Returns the segment of a transition whose target a program may have changed. Each
-  -- is made once, and is found by its target in the first one, which the machine keeps.
-  -- Returns nil if the target is no node of the machine.
-  function engine.segment_of(fsm, tr)
-    local tgt, first = tr.tgt, fsm._segments[tr]
-    if first and first[tgt] then return first[tgt] end
-    if not is_node_of(fsm, tgt) then
-      rfsm.report(fsm, "err", "ERROR: tgt of " .. text_of(tr.src._fqn or tr.src)
-        .. ": node of the fsm expected, " .. got(tgt))
-      return nil
-    end
-    local to = end_at(tr, tgt)
-    if not to then return nil end
-    local segment = new_segment(tr, to)
-    first = first or segment
-    first[tgt] = segment
-    if fsm._segments == NONE then fsm._segments = {} end
-    fsm._segments[tr] = first
-    return segment
+-- Returns an rfsm.Segment: a transition with the target that it has now.
+local function new_segment(tr, tgt)
+  local is_internal = tr._is_internal and tr.src == tgt
+  local lca = is_internal and tgt or engine.find_lca(tr.src._parent, tgt._parent)
+  local segment = { tr = tr, tgt = tgt, lca = lca }
+  if is_internal then segment.is_internal = true end -- absent: less memory
+  if not tgt._mode then segment.connector = tgt end
+  return segment
+end
+
+-- Returns the segment of a transition whose target a program may have changed. Each
+-- is made once, and is found by its target in the first one, which the machine keeps.
+-- Returns nil if the target is no node of the machine.
+function engine.segment_of(fsm, tr)
+  local tgt, first = tr.tgt, fsm._segments[tr]
+  if first and first[tgt] then return first[tgt] end
+  if not is_node_of(fsm, tgt) then
+    rfsm.report(fsm, "err", "ERROR: tgt of " .. text_of(tr.src._fqn or tr.src)
+      .. ": node of the fsm expected, " .. got(tgt))
+    return nil
   end
+  local to = end_at(tr, tgt)
+  if not to then return nil end
+  local segment = new_segment(tr, to)
+  first = first or segment
+  first[tgt] = segment
+  if fsm._segments == NONE then fsm._segments = {} end
+  fsm._segments[tr] = first
+  return segment
 end
 
 -- Machine: the root of the tree, with the fields of the engine ----------------------
@@ -2251,56 +2243,54 @@ function actions.keep_made(fsm, segment)
   if made[1] then put_in_front(fsm, made) end
 end
 
-do
-  local function label_of(node)
-    if not node._mode then return node._fqn .. "[c]" end
-    return node._fqn .. (node._is_leaf and "[LS]" or "[CS]")
+local function label_of(node)
+  if not node._mode then return node._fqn .. "[c]" end
+  return node._fqn .. (node._is_leaf and "[LS]" or "[CS]")
+end
+
+-- Makers of trace records, by kind. Each returns the record's id, then its texts.
+local RECORDS = {}
+
+-- Example, with [LS] for a leaf, [CS] for a composite and [c] for a connector:
+-- root.a[LS]->root.k[c]->root.b[LS]
+function RECORDS.path(path)
+  local segments = engine.segments_of(path)
+  local text = label_of(segments[1].tr.src)
+  for _, segment in ipairs(segments) do
+    text = text .. "->" .. label_of(segment.tgt)
   end
+  return "EXEC_PATH", text
+end
 
-  -- Makers of trace records, by kind. Each returns the record's id, then its texts.
-  local RECORDS = {}
+function RECORDS.exits(segment)
+  local src, lca = segment.tr.src, segment.lca
+  local outermost = line_to(src)[lca._depth + 2] or src -- for the root
+  return "TRANS_EXIT", "exiting all up to (including):", outermost._fqn, ", lca:",
+    lca._fqn
+end
 
-  -- Example, with [LS] for a leaf, [CS] for a composite and [c] for a connector:
-  -- root.a[LS]->root.k[c]->root.b[LS]
-  function RECORDS.path(path)
-    local segments = engine.segments_of(path)
-    local text = label_of(segments[1].tr.src)
-    for _, segment in ipairs(segments) do
-      text = text .. "->" .. label_of(segment.tgt)
-    end
-    return "EXEC_PATH", text
+function RECORDS.exit(state) return "STATE_EXIT", state._fqn end
+
+function RECORDS.effect(segment) return "EFFECT", tostring(segment.tr) end
+
+function RECORDS.entries(segment)
+  local text, node = segment.tgt._fqn, segment.tgt._parent
+  while node ~= segment.lca do
+    text, node = text .. " > " .. node._fqn, node._parent
   end
+  return "TRANS_ENTER", "lca: " .. segment.lca._fqn, "down_path: ", text
+end
 
-  function RECORDS.exits(segment)
-    local src, lca = segment.tr.src, segment.lca
-    local outermost = line_to(src)[lca._depth + 2] or src -- for the root
-    return "TRANS_EXIT", "exiting all up to (including):", outermost._fqn, ", lca:",
-      lca._fqn
-  end
+function RECORDS.done(leaf) return "RAISED", leaf._done_event end
 
-  function RECORDS.exit(state) return "STATE_EXIT", state._fqn end
+function RECORDS.entry(state) return "STATE_ENTER", state._fqn end
 
-  function RECORDS.effect(segment) return "EFFECT", tostring(segment.tr) end
-
-  function RECORDS.entries(segment)
-    local text, node = segment.tgt._fqn, segment.tgt._parent
-    while node ~= segment.lca do
-      text, node = text .. " > " .. node._fqn, node._parent
-    end
-    return "TRANS_ENTER", "lca: " .. segment.lca._fqn, "down_path: ", text
-  end
-
-  function RECORDS.done(leaf) return "RAISED", leaf._done_event end
-
-  function RECORDS.entry(state) return "STATE_ENTER", state._fqn end
-
-  for name, record_of in pairs(RECORDS) do -- any order: independent entries
-    recorders[name] = function(fsm, arg, at)
-      local dbg = fsm.dbg
-      if dbg == silent or not dbg then return end
-      fsm._at = at
-      report(fsm, "dbg", record_of(arg))
-    end
+for name, record_of in pairs(RECORDS) do -- any order: independent entries
+  recorders[name] = function(fsm, arg, at)
+    local dbg = fsm.dbg
+    if dbg == silent or not dbg then return end
+    fsm._at = at
+    report(fsm, "dbg", record_of(arg))
   end
 end
 
@@ -2636,150 +2626,148 @@ end
 -- An iteration is a usual one if the machine is in a leaf, `dbg` is silent, and there
 -- is at most one event. An e_done that no transition names is not counted.
 
-do
-  -- Makes one iteration of a machine with step hooks. The first hook of a list is
-  -- called here: most machines have only one.
-  local function iterate_hooked(fsm, after_free, leaf) -- luacheck: ignore 561
-    local hooks, has_getevents, events = fsm._before, false, fsm._intq
-    local spare = fsm._curq
-    fsm._curq = events
-    fsm._intq = spare
-    fsm._turn = fsm._turn + 1
-    if hooks then
-      local hook = hooks.one
-      fsm._hook = hooks.noted
-      fsm._phase = "gather"
-      if hook then
-        local ok, failure = pcall(hook, fsm, events)
-        if not ok then fail_hook(fsm, hook, failure) end
-        if hooks[2] then run_hooks(fsm, hooks, 2) end
-      else
-        run_hooks(fsm, hooks, 1)
-      end
-      fsm._phase = "search"
-      events = fsm._curq -- getevents and `take_one` may replace the list
-      has_getevents = hooks.has_getevents
-      if not fsm._is_usual or fsm._act_leaf ~= leaf or fsm.dbg ~= silent then
-        return search(fsm, after_free)
-      end
+-- Makes one iteration of a machine with step hooks. The first hook of a list is
+-- called here: most machines have only one.
+local function iterate_hooked(fsm, after_free, leaf) -- luacheck: ignore 561
+  local hooks, has_getevents, events = fsm._before, false, fsm._intq
+  local spare = fsm._curq
+  fsm._curq = events
+  fsm._intq = spare
+  fsm._turn = fsm._turn + 1
+  if hooks then
+    local hook = hooks.one
+    fsm._hook = hooks.noted
+    fsm._phase = "gather"
+    if hook then
+      local ok, failure = pcall(hook, fsm, events)
+      if not ok then fail_hook(fsm, hook, failure) end
+      if hooks[2] then run_hooks(fsm, hooks, 2) end
+    else
+      run_hooks(fsm, hooks, 1)
     end
-    local event, more = events[1], events[2]
-    if event == leaf._ignored then event, more = more, events[3] end
-    local choice, outcome
-    if event == nil then
-      if leaf._mode == "done" and not (leaf._doo_co or has_getevents) then
-        outcome = (event == events[1] or after_free) and "idle" or "free"
-      end
-    elseif more == nil then
-      choice = leaf._choices[event] or choice_of(leaf, event)
-      local run = choice.run
-      if run == nil then run = fast.quick_run(fsm, leaf, choice) end
-      if run and run(fsm, event) then
-        if not fsm._is_usual then return conclude(fsm, "counted") end
-        outcome = "counted"
-      end
-    end
-    if not outcome then
-      fsm._phase = "search"
-      return search(fsm, after_free, choice, event)
-    end
-    fsm._outcome = outcome
-    hooks = fsm._after
-    if hooks then
-      local hook = hooks.one
-      fsm._hook = hooks.noted
-      fsm._phase = "finish"
-      if hook then
-        local ok, failure = pcall(hook, fsm, events)
-        if not ok then fail_hook(fsm, hook, failure) end
-        if hooks[2] then run_hooks(fsm, hooks, 2) end
-      else
-        run_hooks(fsm, hooks, 1)
-      end
-    end
-    if fsm._is_lent or not fsm._is_usual then return close(fsm) end
-    if events[2] ~= nil then empty(events) end
-    events[1] = nil
-    fsm._phase = "idle"
-    if outcome == "counted" then return false end
-    if outcome == "idle" then return fsm._intq[1] == nil and fsm._act_leaf ~= false end
-    local idle = iterate_again(fsm)
-    return idle
-  end
-
-  -- Makes one iteration without events.
-  local function rest(fsm, leaf, after_free)
-    local events = fsm._curq
-    if leaf._mode == "done" and not leaf._doo_co then
-      events[1] = nil
-      return true
-    elseif events[1] ~= nil then
-      fsm._phase = "search"
+    fsm._phase = "search"
+    events = fsm._curq -- getevents and `take_one` may replace the list
+    has_getevents = hooks.has_getevents
+    if not fsm._is_usual or fsm._act_leaf ~= leaf or fsm.dbg ~= silent then
       return search(fsm, after_free)
     end
-    fsm._at = 0
-    fsm._phase = "doo"
-    local idle = run_doo(fsm, leaf)
-    if not fsm._is_usual then return finish_cycle(fsm, idle) end
-    fsm._phase = "idle"
-    return idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
   end
-
-  -- Makes one iteration, and another one if it does not count as a step; `after_free`
-  -- is true for that. Returns whether the machine is idle, nil if it cannot be entered.
-  -- The two lists of events are swapped. If an interrupt cuts the swap short,
-  -- `PHASES.begin` repairs it in the next iteration.
-  function iterate(fsm, after_free) -- luacheck: ignore 561 (a call costs time)
-    local leaf = fsm._act_leaf
-    if not (leaf and fsm._is_usual) or fsm.dbg ~= silent then
-      return go_on(fsm, after_free)
+  local event, more = events[1], events[2]
+  if event == leaf._ignored then event, more = more, events[3] end
+  local choice, outcome
+  if event == nil then
+    if leaf._mode == "done" and not (leaf._doo_co or has_getevents) then
+      outcome = (event == events[1] or after_free) and "idle" or "free"
     end
-    if fsm._is_hooked then -- no tail call: LuaJIT gives up what returns to a pcall
-      local idle = iterate_hooked(fsm, after_free, leaf)
-      return idle
+  elseif more == nil then
+    choice = leaf._choices[event] or choice_of(leaf, event)
+    local run = choice.run
+    if run == nil then run = fast.quick_run(fsm, leaf, choice) end
+    if run and run(fsm, event) then
+      if not fsm._is_usual then return conclude(fsm, "counted") end
+      outcome = "counted"
     end
-    local events = fsm._intq
-    local spare = fsm._curq
-    fsm._curq = events
-    fsm._intq = spare
-    local event, more = events[1], events[2]
-    if event == leaf._ignored then event, more = more, events[3] end
-    if event == nil then return rest(fsm, leaf, after_free) end
-    local choice
-    if more == nil then
-      choice = leaf._choices[event] or choice_of(leaf, event)
-      local run = choice.run
-      if run == nil then run = fast.quick_run(fsm, leaf, choice) end
-      local is_taken = run and run(fsm, event)
-      if not is_taken and choice[1] then
-        fsm._phase = "search"
-        local found, own = choose(fsm, leaf, events, choice, event)
-        run = nil -- a guard may have moved the machine, or switched dbg on
-        if found and fsm._is_usual and fsm._act_leaf == leaf and fsm.dbg == silent then
-          run = path_of(fsm, leaf, found, fsm._ways).run
-        end
-        if not run then return follow(fsm, after_free, leaf, found, own) end
-        is_taken = run(fsm, own, true)
-      end
-      if is_taken and not fsm._is_usual then
-        return conclude(fsm, "counted")
-      elseif is_taken or not (choice[1] or after_free) then
-        if fsm._is_lent then
-          fsm._curq = {}
-          fsm._is_lent = false
-        else
-          events[2] = nil
-          events[1] = nil
-        end
-        fsm._phase = "idle"
-        if is_taken then return false end
-        local idle = iterate_again(fsm)
-        return idle
-      end
-    end
+  end
+  if not outcome then
     fsm._phase = "search"
     return search(fsm, after_free, choice, event)
   end
+  fsm._outcome = outcome
+  hooks = fsm._after
+  if hooks then
+    local hook = hooks.one
+    fsm._hook = hooks.noted
+    fsm._phase = "finish"
+    if hook then
+      local ok, failure = pcall(hook, fsm, events)
+      if not ok then fail_hook(fsm, hook, failure) end
+      if hooks[2] then run_hooks(fsm, hooks, 2) end
+    else
+      run_hooks(fsm, hooks, 1)
+    end
+  end
+  if fsm._is_lent or not fsm._is_usual then return close(fsm) end
+  if events[2] ~= nil then empty(events) end
+  events[1] = nil
+  fsm._phase = "idle"
+  if outcome == "counted" then return false end
+  if outcome == "idle" then return fsm._intq[1] == nil and fsm._act_leaf ~= false end
+  local idle = iterate_again(fsm)
+  return idle
+end
+
+-- Makes one iteration without events.
+local function rest(fsm, leaf, after_free)
+  local events = fsm._curq
+  if leaf._mode == "done" and not leaf._doo_co then
+    events[1] = nil
+    return true
+  elseif events[1] ~= nil then
+    fsm._phase = "search"
+    return search(fsm, after_free)
+  end
+  fsm._at = 0
+  fsm._phase = "doo"
+  local idle = run_doo(fsm, leaf)
+  if not fsm._is_usual then return finish_cycle(fsm, idle) end
+  fsm._phase = "idle"
+  return idle and fsm._intq[1] == nil and fsm._act_leaf ~= false
+end
+
+-- Makes one iteration, and another one if it does not count as a step; `after_free`
+-- is true for that. Returns whether the machine is idle, nil if it cannot be entered.
+-- The two lists of events are swapped. If an interrupt cuts the swap short,
+-- `PHASES.begin` repairs it in the next iteration.
+function iterate(fsm, after_free) -- luacheck: ignore 561 (a call costs time)
+  local leaf = fsm._act_leaf
+  if not (leaf and fsm._is_usual) or fsm.dbg ~= silent then
+    return go_on(fsm, after_free)
+  end
+  if fsm._is_hooked then -- no tail call: LuaJIT gives up what returns to a pcall
+    local idle = iterate_hooked(fsm, after_free, leaf)
+    return idle
+  end
+  local events = fsm._intq
+  local spare = fsm._curq
+  fsm._curq = events
+  fsm._intq = spare
+  local event, more = events[1], events[2]
+  if event == leaf._ignored then event, more = more, events[3] end
+  if event == nil then return rest(fsm, leaf, after_free) end
+  local choice
+  if more == nil then
+    choice = leaf._choices[event] or choice_of(leaf, event)
+    local run = choice.run
+    if run == nil then run = fast.quick_run(fsm, leaf, choice) end
+    local is_taken = run and run(fsm, event)
+    if not is_taken and choice[1] then
+      fsm._phase = "search"
+      local found, own = choose(fsm, leaf, events, choice, event)
+      run = nil -- a guard may have moved the machine, or switched dbg on
+      if found and fsm._is_usual and fsm._act_leaf == leaf and fsm.dbg == silent then
+        run = path_of(fsm, leaf, found, fsm._ways).run
+      end
+      if not run then return follow(fsm, after_free, leaf, found, own) end
+      is_taken = run(fsm, own, true)
+    end
+    if is_taken and not fsm._is_usual then
+      return conclude(fsm, "counted")
+    elseif is_taken or not (choice[1] or after_free) then
+      if fsm._is_lent then
+        fsm._curq = {}
+        fsm._is_lent = false
+      else
+        events[2] = nil
+        events[1] = nil
+      end
+      fsm._phase = "idle"
+      if is_taken then return false end
+      local idle = iterate_again(fsm)
+      return idle
+    end
+  end
+  fsm._phase = "search"
+  return search(fsm, after_free, choice, event)
 end
 
 -- Marks the iteration as cut short. The mark `_is_cut` shows that no step is under way
@@ -2869,53 +2857,51 @@ function rfsm.location_of(obj, field)
   return (file and file .. ": " or "") .. name_of(obj, field)
 end
 
-do
-  local function is_closed(build, node)
-    return node._id == "initial"
-      and not (node._mode or build.is_left[node] or node._otrs[1])
-  end
+local function is_closed(build, node)
+  return node._id == "initial"
+    and not (node._mode or build.is_left[node] or node._otrs[1])
+end
 
-  -- Reports each `initial` that no transition leaves: a problem if the first entry or a
-  -- transition leads to it, else a warning. A merge has added the transitions from
-  -- number `first` on: only problems are reported, and only theirs.
-  function engine.check_ways_in(build, first)
-    local fsm, is_entered = build.fsm, {}
-    if not first then is_entered[rawget(fsm, "initial") or fsm] = true end
-    for i = first or 1, #fsm._transitions do
-      is_entered[fsm._transitions[i].tgt] = true
-    end
-    for _, node in ipairs(fsm._nodes) do
-      local list = is_entered[node] and build.problems or not first and build.warnings
-      if list and is_closed(build, node) then
-        add(list, node, nil, words("no transition leaves it"))
-      end
+-- Reports each `initial` that no transition leaves: a problem if the first entry or a
+-- transition leads to it, else a warning. A merge has added the transitions from
+-- number `first` on: only problems are reported, and only theirs.
+function engine.check_ways_in(build, first)
+  local fsm, is_entered = build.fsm, {}
+  if not first then is_entered[rawget(fsm, "initial") or fsm] = true end
+  for i = first or 1, #fsm._transitions do
+    is_entered[fsm._transitions[i].tgt] = true
+  end
+  for _, node in ipairs(fsm._nodes) do
+    local list = is_entered[node] and build.problems or not first and build.warnings
+    if list and is_closed(build, node) then
+      add(list, node, nil, words("no transition leaves it"))
     end
   end
+end
 
-  -- Clones and resolves a model, without a call of its functions. Returns the build. A
-  -- printer that cannot be called is replaced by a default.
-  function engine.build_machine(model)
-    local fsm = setmetatable(own_fields(), Machine)
-    local build = engine.new_build(fsm)
-    fsm._model, fsm._parent, fsm._nodes = model, fsm, { fsm }
-    fsm._entrance = { from = fsm, entered = fsm }
-    engine.note_mount(build, fsm)
-    engine.clone_below(build, 1)
-    engine.resolve(build, 1)
-    engine.check_ways_in(build)
-    for _, name in ipairs(HOOKS) do check_callable(build, fsm, name, model[name]) end
-    for _, name in ipairs(PRINTERS) do
-      local printer = model[name] ~= true and model[name]
-      check_callable(build, fsm, name, printer, ", true or false")
-      printer = printer_of(fsm, name)
-      rawset(fsm, name, is_callable(printer) and printer or DEFAULT_PRINTER[name])
-    end
-    if not (fsm._is_leaf or is_node(rawget(fsm, "initial"))) then
-      add(build.problems, fsm, nil, words("the root needs an initial"))
-    end
-    engine.list_hooks(fsm)
-    return build
+-- Clones and resolves a model, without a call of its functions. Returns the build. A
+-- printer that cannot be called is replaced by a default.
+function engine.build_machine(model)
+  local fsm = setmetatable(own_fields(), Machine)
+  local build = engine.new_build(fsm)
+  fsm._model, fsm._parent, fsm._nodes = model, fsm, { fsm }
+  fsm._entrance = { from = fsm, entered = fsm }
+  engine.note_mount(build, fsm)
+  engine.clone_below(build, 1)
+  engine.resolve(build, 1)
+  engine.check_ways_in(build)
+  for _, name in ipairs(HOOKS) do check_callable(build, fsm, name, model[name]) end
+  for _, name in ipairs(PRINTERS) do
+    local printer = model[name] ~= true and model[name]
+    check_callable(build, fsm, name, printer, ", true or false")
+    printer = printer_of(fsm, name)
+    rawset(fsm, name, is_callable(printer) and printer or DEFAULT_PRINTER[name])
   end
+  if not (fsm._is_leaf or is_node(rawget(fsm, "initial"))) then
+    add(build.problems, fsm, nil, words("the root needs an initial"))
+  end
+  engine.list_hooks(fsm)
+  return build
 end
 
 -- A function `f(fsm, code, text)` that is called for each warning, or false.
@@ -2950,36 +2936,34 @@ function engine.report_created(build)
   end
 end
 
-do
-  -- Returns the set of composites that are left by a transition from a node inside.
-  local function left_composites(fsm)
-    local left = {}
-    for _, tr in ipairs(fsm._transitions) do
-      local composite = tr.src._parent
-      local lca = engine.find_lca(composite, tr.tgt._parent)
-      while composite ~= lca do left[composite], composite = true, composite._parent end
-    end
-    return left
+-- Returns the set of composites that are left by a transition from a node inside.
+local function left_composites(fsm)
+  local left = {}
+  for _, tr in ipairs(fsm._transitions) do
+    local composite = tr.src._parent
+    local lca = engine.find_lca(composite, tr.tgt._parent)
+    while composite ~= lca do left[composite], composite = true, composite._parent end
   end
+  return left
+end
 
-  -- Warns of the nodes, from number `first` on, that no transition leaves. Returns true
-  -- if there are none.
-  function engine.report_dead_ends(fsm, first)
-    local nodes, dead, left = fsm._nodes, {}, nil
-    for i = first, #nodes do
-      local node, around = nodes[i], nodes[i]
-      while around._mode and around ~= fsm and not around._otrs[1] do
-        around = around._parent
-      end
-      if not (around._otrs[1] or node._model.final or node == fsm) then
-        left = left or left_composites(fsm)
-        local line = "no outgoing transitions from node '" .. node._fqn .. "'"
-        dead[#dead + 1] = not left[node] and { line = line, code = false } or nil
-      end
+-- Warns of the nodes, from number `first` on, that no transition leaves. Returns true
+-- if there are none.
+function engine.report_dead_ends(fsm, first)
+  local nodes, dead, left = fsm._nodes, {}, nil
+  for i = first, #nodes do
+    local node, around = nodes[i], nodes[i]
+    while around._mode and around ~= fsm and not around._otrs[1] do
+      around = around._parent
     end
-    report_warnings(fsm, dead)
-    return dead[1] == nil
+    if not (around._otrs[1] or node._model.final or node == fsm) then
+      left = left or left_composites(fsm)
+      local line = "no outgoing transitions from node '" .. node._fqn .. "'"
+      dead[#dead + 1] = not left[node] and { line = line, code = false } or nil
+    end
   end
+  report_warnings(fsm, dead)
+  return dead[1] == nil
 end
 
 -- Events that extensions know or that are no events, beside those such as e_after(1).
@@ -3161,31 +3145,29 @@ end
 
 -- Use: what a program does with a machine --------------------------------------------
 
-do
-  local function queue_more(queue, ...)
-    for i = 1, select("#", ...) do
-      local event = select(i, ...)
-      if event ~= nil then queue[#queue + 1] = event end
-    end
-  end
-
-  --- Send events to a machine. They are pending until the next iteration, in order.
-  --
-  -- @usage
-  --    rfsm.send_events(fsm, "e_start", "e_ready")
-  --
-  ---@param fsm rfsm.Machine
-  ---@param event? any anything; nil is skipped
-  ---@param ... any more events
-  function rfsm.send_events(fsm, event, ...)
-    if not machines[fsm] then check_machine(fsm, "rfsm.send_events") end
-    if fsm.dbg ~= silent and fsm.dbg then report(fsm, "dbg", "RAISED", event, ...) end
-    local queue = fsm._intq
+local function queue_more(queue, ...)
+  for i = 1, select("#", ...) do
+    local event = select(i, ...)
     if event ~= nil then queue[#queue + 1] = event end
-    if select("#", ...) > 0 then queue_more(queue, ...) end
-    local hooks = fsm._watch_hooks
-    if hooks and hooks.sent then return tell_from(1, fsm, hooks.sent, event, ...) end
   end
+end
+
+--- Send events to a machine. They are pending until the next iteration, in order.
+--
+-- @usage
+--    rfsm.send_events(fsm, "e_start", "e_ready")
+--
+---@param fsm rfsm.Machine
+---@param event? any anything; nil is skipped
+---@param ... any more events
+function rfsm.send_events(fsm, event, ...)
+  if not machines[fsm] then check_machine(fsm, "rfsm.send_events") end
+  if fsm.dbg ~= silent and fsm.dbg then report(fsm, "dbg", "RAISED", event, ...) end
+  local queue = fsm._intq
+  if event ~= nil then queue[#queue + 1] = event end
+  if select("#", ...) > 0 then queue_more(queue, ...) end
+  local hooks = fsm._watch_hooks
+  if hooks and hooks.sent then return tell_from(1, fsm, hooks.sent, event, ...) end
 end
 
 -- Raises an error if a step is under way, also if its coroutine is suspended. A step
@@ -3226,33 +3208,31 @@ local function advance(fsm, left, idle)
   return idle or false
 end
 
-do
-  local function step_often(fsm, n)
-    if type(n) ~= "number" then
-      error("rfsm.step: number of steps expected, " .. got(n)
-        .. (type(n) == "string" and " (did you mean rfsm.send_events?)" or ""), 3)
-    end
-    return advance(fsm, n == n and n or 1, engine.try(fsm)) -- NaN counts as 1
+local function step_often(fsm, n)
+  if type(n) ~= "number" then
+    error("rfsm.step: number of steps expected, " .. got(n)
+      .. (type(n) == "string" and " (did you mean rfsm.send_events?)" or ""), 3)
   end
+  return advance(fsm, n == n and n or 1, engine.try(fsm)) -- NaN counts as 1
+end
 
-  --- Advance a machine by at most `n` transitions or doo cycles.
-  --
-  -- Returns earlier if the machine is idle. Errors of callbacks are reported to `err`.
-  -- Errors of pre step hooks and getevents are raised at once, those of printers and
-  -- post step hooks at the end of the iteration. A step that an interrupt has cut short
-  -- is finished first.
-  --
-  ---@param fsm rfsm.Machine
-  ---@param n? number at least 1, default 1
-  ---@return boolean idle true if there is nothing left to do
-  function rfsm.step(fsm, n)
-    if not machines[fsm] then check_machine(fsm, "rfsm.step") end
-    if fsm._phase ~= "idle" then engine.check_no_step(fsm, "rfsm.step", 3) end
-    if n ~= nil then return (step_often(fsm, n)) end -- a tail call shifts error levels
-    local ok, idle = pcall(iterate, fsm)
-    if not ok then raise_cut(fsm, idle) end
-    return idle or false
-  end
+--- Advance a machine by at most `n` transitions or doo cycles.
+--
+-- Returns earlier if the machine is idle. Errors of callbacks are reported to `err`.
+-- Errors of pre step hooks and getevents are raised at once, those of printers and
+-- post step hooks at the end of the iteration. A step that an interrupt has cut short
+-- is finished first.
+--
+---@param fsm rfsm.Machine
+---@param n? number at least 1, default 1
+---@return boolean idle true if there is nothing left to do
+function rfsm.step(fsm, n)
+  if not machines[fsm] then check_machine(fsm, "rfsm.step") end
+  if fsm._phase ~= "idle" then engine.check_no_step(fsm, "rfsm.step", 3) end
+  if n ~= nil then return (step_often(fsm, n)) end -- a tail call shifts error levels
+  local ok, idle = pcall(iterate, fsm)
+  if not ok then raise_cut(fsm, idle) end
+  return idle or false
 end
 
 --- Advance a machine until no event is pending and no doo is busy.
