@@ -997,7 +997,7 @@ do
     if is_node_of(build.fsm, ref) then return ref end
     for _, mount in ipairs(build.mounts[model_of(ref)] or {}) do
       local depth = engine.find_lca(composite, mount)._depth
-      if depth >= most then nearest, most, is_tie = mount, depth, depth == most end
+      if depth >= most then is_tie, nearest, most = depth == most, mount, depth end
     end
     if is_tie then
       return nil, "the table given stands in several places, use a name"
@@ -1393,7 +1393,8 @@ end
 -- an interrupt the next step goes on behind what was begun.
 local function tell_failure(fsm)
   local failed, around = fsm._failed, fsm
-  local owner, name, failure, callback = failed[1], failed[2], failed[3], failed[4]
+  local owner, name = failed.owner, failed.name
+  local failure, callback = failed.failure, failed.callback
   if rfsm.is_interrupt(failure) then
     keep_failure(fsm, failure)
     fsm._failed = false
@@ -1418,7 +1419,8 @@ end
 -- Reports that a callback has failed. For a doo `callback` is nil, because the doo was
 -- called by its coroutine; for a guard it is nil if a guard hook has failed.
 local function report_callback(fsm, name, owner, callback, failure)
-  fsm._failed = { owner, name, failure, callback, told = 0 }
+  fsm._failed = { owner = owner, name = name, failure = failure, callback = callback,
+    told = 0 }
   tell_failure(fsm)
 end
 
@@ -1679,6 +1681,14 @@ do
   end
 end
 
+-- Lists the hooks of a machine and its regions anew: they read as their parent does.
+function engine.list_again(fsm)
+  engine.list_hooks(fsm)
+  for _, state in ipairs(rfsm.elements(fsm, is_state)) do
+    for _, region in ipairs(rfsm.regions(state)) do engine.list_again(region) end
+  end
+end
+
 -- Resets a machine as if it were new, but keeps the events of the current iteration.
 function engine.reset_now(fsm)
   for _, node in ipairs(fsm._nodes) do
@@ -1823,11 +1833,11 @@ do
     end
     local is_triggered, event = true, first
     if tr.events[1] ~= nil then is_triggered, event = matches(tr, events) end
-    tr = is_triggered and enabled(fsm, tr, events, event, first)
-    if tr and way then
-      note.others = append(note.others or { way }, { tr })
-    elseif tr then
-      way, note.event = tr, event
+    local segment = is_triggered and enabled(fsm, tr, events, event, first)
+    if segment and way then
+      note.others = append(note.others or { way }, { segment })
+    elseif segment then
+      way, note.event = segment, event
     end
     return find_way(fsm, note, way, i + 1, events, first)
   end
@@ -2397,30 +2407,30 @@ do
     return list
   end
 
-  function engine.new_path(at, segment)
-    local path = { from = at, segment = segment, actions = false }
-    if not at._mode then -- no leaf: a leaf may have data with these names
-      path.from, path.entered, path.before = at.from, at.entered, at
+  function engine.new_path(base, segment)
+    local path = { from = base, segment = segment, actions = false }
+    if not base._mode then -- no leaf: a leaf may have data with these names
+      path.from, path.entered, path.before = base.from, base.entered, base
     end
-    at._paths = at._paths or {}
-    at._paths[segment] = path
+    base._paths = base._paths or {}
+    base._paths[segment] = path
     return path
   end
 
   interpret(engine.new_path) -- a trace of LuaJIT had nil as a string in its place
 
-  -- Returns the path that continues `at` with a segment and, at each connector reached,
-  -- with the segment noted in `ways`. Paths are kept in a tree. Its roots are the
-  -- leaves and the entrance of the machine; `at` is a root or a part of a path.
-  function path_of(fsm, at, segment, ways)
+  -- Returns the path that continues `base` with a segment and, at each connector
+  -- reached, with the segment noted in `ways`. Paths are kept in a tree. Its roots are
+  -- the leaves and the entrance of the machine; `base` is a root or a part of a path.
+  function path_of(fsm, base, segment, ways)
     if segment then -- no loop, because LuaJIT would not compile a loop around this one
-      at = at._paths and at._paths[segment] or engine.new_path(at, segment)
+      base = base._paths and base._paths[segment] or engine.new_path(base, segment)
       if segment.connector then
-        return path_of(fsm, at, ways[segment.connector].way, ways)
+        return path_of(fsm, base, ways[segment.connector].way, ways)
       end
     end
-    if not at.actions then list_actions(fsm, at) end
-    return at
+    if not base.actions then list_actions(fsm, base) end
+    return base
   end
 end
 
@@ -2657,7 +2667,7 @@ local function iterate_hooked(fsm, after_free, leaf) -- luacheck: ignore 561
   local choice, outcome
   if event == nil then
     if leaf._mode == "done" and not (leaf._doo_co or has_getevents) then
-      outcome = (event == events[1] or after_free) and "idle" or "free"
+      outcome = (events[1] == nil or after_free) and "idle" or "free"
     end
   elseif more == nil then
     choice = leaf._choices[event] or choice_of(leaf, event)
@@ -3037,7 +3047,8 @@ do
     end
     tr._is_internal = tr._is_internal and rawequal(tr.src, tgt)
     tr.tgt = end_at(tr, tgt)
-    if not tr.tgt or tr.tgt ~= tgt and not tr.tgt._otrs[1] then
+    local is_composite = tr.tgt ~= tgt
+    if not tr.tgt or is_composite and not tr.tgt._otrs[1] then
       return rfsm.location_of(tr) .. ": tgt: the composite has no initial transition"
     end
     tr.events = type(tr.events) == "string" and { tr.events } or tr.events or {}
@@ -3567,14 +3578,6 @@ function rfsm.names_done(state)
     end
   end
   return state._awaits_done or false
-end
-
--- Lists the hooks of a machine and its regions anew: they read as their parent does.
-function engine.list_again(fsm)
-  engine.list_hooks(fsm)
-  for _, state in ipairs(rfsm.elements(fsm, is_state)) do
-    for _, region in ipairs(rfsm.regions(state)) do engine.list_again(region) end
-  end
 end
 
 --- Make a machine a region of another one, for extensions.
