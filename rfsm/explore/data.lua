@@ -184,6 +184,8 @@ function data.premises(self)
   add_examples(self, texts)
   texts[#texts + 1] = self.memory and self.memory.is_cut and "not all data looked at"
     or nil
+  texts[#texts + 1] = self.calls_unnamed and not self.data_names
+    and "calls that no text names change no transition" or nil
   texts[#texts + 1] = self.shares_text and "callbacks of one line read together"
     .. (syntax.is_there and "" or " (luacheck is not installed)") or nil
   return texts

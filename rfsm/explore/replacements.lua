@@ -152,11 +152,16 @@ function replacements.emitted_by(fsm)
   return is_certain and not match.has(emitted, false) and emitted or nil, with_data
 end
 
--- Notes that the text of a callback is not known, or may be that of others, too.
+-- Notes that the text of a callback is not known, or may be that of others, too. What a
+-- call does that no text names matters where data are followed; else it is a premise.
 local function note_text(self, name, callback)
   local _, is_shared = writes.text_of(callback)
   self.shares_text = self.shares_text or is_shared or false
-  if not writes.is_known(callback) then self.unknown[#self.unknown + 1] = name end
+  local calls_unnamed = writes.calls_unnamed(callback)
+  if not writes.is_known(callback) or calls_unnamed and self.data_names then
+    self.unknown[#self.unknown + 1] = name
+  end
+  self.calls_unnamed = self.calls_unnamed or calls_unnamed
 end
 
 -- Notes that a callback emits events, or sends some that the alphabet may not have.

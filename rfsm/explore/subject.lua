@@ -52,6 +52,8 @@ local subject = {}
 ---@field writers string[] callbacks that may write the targets of transitions
 ---@field unknown string[] callbacks whose text, or that of a function they call, is not
 -- known
+---@field calls_unnamed boolean a callback calls what no text names
+---@field calls_unnamed boolean a callback calls what no text names
 ---@field shares_text boolean a callback may have the text of others in its line
 ---@field unsure_senders string[] callbacks that may send what is not known
 ---@field names_with_data table<any, true> names in predicates of `rfsm.named`
@@ -1027,8 +1029,8 @@ end
 function subject.new(model, options, way)
   local self = setmetatable({ parts = {}, transitions = {}, number_of = {},
     names = {}, paths = {}, part_of = {}, callbacks = {}, writers = {},
-    unknown = {}, shares_text = false, data_writers = {}, unsure_senders = {},
-    names_with_data = {}, classes = {}, is_example = {},
+    unknown = {}, calls_unnamed = false, shares_text = false, data_writers = {},
+    unsure_senders = {}, names_with_data = {}, classes = {}, is_example = {},
     free = {}, sent = {}, later = {}, sent_later = {}, dropped = {}, late_senders = {},
     cancellers = {}, deferred = 0, has_senders = false,
     emitted = {}, emitters = {}, dry_sends = {},

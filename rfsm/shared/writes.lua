@@ -342,13 +342,20 @@ end
 -- Is it a function of C? If a callback calls one, the callback is still known.
 local function is_foreign(f) return getinfo and getinfo(f, "S").what == "C" end
 
+--- Does a callback call what no text names, such as a parameter or a field of one?
+---@param callback any
+---@return boolean
+function writes.calls_unnamed(callback)
+  return writes.each(callback, calls_unnamed, {}) or false
+end
+
 --- Is it known what a callback does, as far as texts show it?
 ---@param callback any
 ---@return boolean
 function writes.is_known(callback)
   return is_known(function_of(callback)) and not writes.each(callback,
     function(text, _, upvalues)
-      return calls_unnamed(text) or order.any(called_by(text, upvalues), function(f)
+      return order.any(called_by(text, upvalues), function(f)
         return not (is_foreign(f) or is_known(f))
       end)
     end, {})
