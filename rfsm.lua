@@ -3406,7 +3406,15 @@ do
   -- "before", which may remove events. A list has the number of the former in `front`.
   local PLACES = { front = true, before = true, after = true }
 
+  -- Lists of one hook, which many states may have: hook -> list.
+  local singles = setmetatable({}, { __mode = "kv" })
+
   local function put_in(owner, field, hook, place)
+    if not (owner[field] or place == "front") then
+      singles[hook] = singles[hook] or { hook }
+      owner[field] = singles[hook]
+      return
+    end
     local old = owner[field] or NONE
     local hooks, front = append({}, old), old.front or 0
     local before = place == "before" and front + 1 or #hooks + 1
