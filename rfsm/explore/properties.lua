@@ -51,7 +51,7 @@ local PROBLEMS = {}
 local is_name = opts.is_a "string"
 
 local function kind_found(value)
-  local is_empty = type(value) == "table" and next(value) == nil
+  local is_empty = type(value) == "table" and order.is_empty(value)
   return is_empty and "an empty list" or type(value)
 end
 

@@ -20,7 +20,7 @@ local static = require "rfsm.checks.static"
 local structure = require "rfsm.checks.structure"
 local order = require "rfsm.shared.order"
 
-local ipairs, math, next, setmetatable = ipairs, math, next, setmetatable
+local ipairs, math, setmetatable = ipairs, math, setmetatable
 local tostring, type = tostring, type
 local concat, huge, min, remove = table.concat, math.huge, math.min, table.remove
 local any = order.any
@@ -377,7 +377,7 @@ local function premises_of(walks, options)
   if walk.way then texts[#texts + 1] = "independent regions one by one" end
   add_times(texts, walks, options.period)
   texts = match.joined(texts, data.premises(walk.subject))
-  texts[#texts + 1] = next(free) and free_text(free) .. " free" or nil
+  texts[#texts + 1] = not order.is_empty(free) and free_text(free) .. " free" or nil
   return concat(texts, "; ")
 end
 
