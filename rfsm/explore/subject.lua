@@ -53,7 +53,6 @@ local subject = {}
 ---@field unknown string[] callbacks whose text, or that of a function they call, is not
 -- known
 ---@field calls_unnamed boolean a callback calls what no text names
----@field calls_unnamed boolean a callback calls what no text names
 ---@field shares_text boolean a callback may have the text of others in its line
 ---@field unsure_senders string[] callbacks that may send what is not known
 ---@field names_with_data table<any, true> names in predicates of `rfsm.named`
